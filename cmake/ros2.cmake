@@ -76,4 +76,5 @@ configure_file(src/${PROJECT_NAME}/cli/_${PROJECT_NAME} ${hooks}/${PROJECT_NAME}
 ament_environment_hooks(${hooks}/${PROJECT_NAME}.bash ${hooks}/${PROJECT_NAME}.zsh)
 
 ament_export_dependencies(rosidl_default_runtime)
-ament_package()
+# Packages that depend on this one test their programs by ament_add_retalis_test.
+ament_package(CONFIG_EXTRAS ${CMAKE_CURRENT_SOURCE_DIR}/cmake/${PROJECT_NAME}-extras-ros2.cmake)

@@ -33,7 +33,8 @@ if TYPE_CHECKING:  # for type checkers; a program gets them by `__getattr__`
     from .engine.runtime.problem_reports import Reports
     from .events.clock.clock import Clock, StreamClock
     from .events.program.topic_configuration import TopicType
-    from .explanation.event_explanations import Explanation, ExplanationLine, explain, record_origins
+    from .explanation.event_explanations import explain, record_origins
+    from .explanation.explanation_lines import Explanation, ExplanationLine
     from .foundation.errors import (
         MessageError,
         Omission,
@@ -144,8 +145,8 @@ _MODULES = {
     "Encoder": "messages.encoder",
     "Engine": "engine.engine",
     "explain": "explanation.event_explanations",
-    "Explanation": "explanation.event_explanations",
-    "ExplanationLine": "explanation.event_explanations",
+    "Explanation": "explanation.explanation_lines",
+    "ExplanationLine": "explanation.explanation_lines",
     "foreign": "prolog.system.foreign_functions",
     "Functor": "prolog.terms.types",
     "functor": "prolog.terms.types",

@@ -18,7 +18,21 @@ from collections import deque
 from contextlib import ExitStack, closing, nullcontext, redirect_stderr, redirect_stdout
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any, Callable, Deque, Dict, Generator, List, Mapping, NamedTuple, Optional, Tuple, Union
+from typing import (
+    TYPE_CHECKING,
+    Any,
+    Callable,
+    Deque,
+    Dict,
+    Generator,
+    List,
+    Mapping,
+    NamedTuple,
+    Optional,
+    Sequence,
+    Tuple,
+    Union,
+)
 
 from ..engine.engine_settings import Settings
 from ..engine.run_records import RunRecord, open_records
@@ -57,6 +71,7 @@ from .command_options import (
     add_message_folders,
     apply_folders,
     apply_limits,
+    connect_answers,
     message_folders,
 )
 from .event_and_solution_printer import JSON_HELP, Printer, TimeOrigin, redirect_goal_output
@@ -76,12 +91,15 @@ from .stderr_and_progress import (
     show_progress,
 )
 
-DESCRIPTION = """\
-Run a program over bags and print its outputs, as output(TERM,TOPIC) terms. Several bags are played as one.
+if TYPE_CHECKING:
+    from ..testing.rule_coverage import CoveredPart
 
-The messages of several bags are played in the order of receipt. ROS 1 bags may be compressed. A ROS 2 bag is a folder
-with metadata.yaml, or its .db3, .mcap, .db3.zstd or .mcap.zstd file. ROS 2 messages are read as ROS 1 messages of the
-same name.
+DESCRIPTION = """\
+Run a program over bags and print its outputs, as output(TERM,TOPIC) terms. Several bags are played as one,
+in the order of receipt.
+
+ROS 1 bags may be compressed. A ROS 2 bag is a folder with metadata.yaml, or its .db3, .mcap, .db3.zstd or .mcap.zstd
+file. ROS 2 messages are read as ROS 1 messages of the same name.
 
 With --jobs or --scheduler each bag is a separate run, and several run at the same time. A folder stands for all bags
 below it, sorted by name; URLs such as s3://BUCKET/FOLDER are allowed. The output is the same as that of the bags one
@@ -93,7 +111,8 @@ JSON_LINES_HELP = """\
   {"wait": TERM, "memories": [ID, ...], "start": T1, "end": T2}    a query that has waited
   {"memory": ID, "pattern": TERM, "size": N, "records": N, "taken": N, "start": T1, "end": T2}    at the end
   {"open": TERM, "start": T}                               with --open, a declared state that is open at the end
-  {"open_window": WINDOW, "rule": HEAD, "key": {VARIABLE: TERM, ...}, "elements": N, "start": T1, "end": T2 or null}
+  {"open_window": WINDOW, "rule": HEAD, "name": NAME, "key": {VARIABLE: TERM, ...}, "elements": N,
+   "start": T1, "end": T2 or null}
   {"explain": TERM, "happened": true or false, "because": [{"text": LINE, "below": [...]}, ...]}
 """
 
@@ -135,10 +154,22 @@ def add_parser(add_command: Callable[..., argparse.ArgumentParser]) -> None:
     add("--json", action="store_true", help="print one JSON object per line instead of terms")
     add("-q", "--quiet", action="store_true", help="print no outputs")
     add_end_of_input(parser, OPEN_HELP)
+    _add_coverage_options(parser)
     add_many_bags_options(parser)
     add_folders(parser)
     add_limits(parser)
     parser.set_defaults(run=run)
+
+
+def _add_coverage_options(parser: argparse.ArgumentParser) -> None:
+    add = parser.add_argument_group("coverage").add_argument
+    add(
+        "--coverage",
+        action="store_true",
+        help="print the parts of the program that no bag uses, to standard error",
+    )
+    add("--html", type=Path, metavar="FILE", help="write it as HTML page")
+    add("--cobertura", type=Path, metavar="FILE", help="write it as Cobertura XML")
 
 
 def add_source(parser: argparse.ArgumentParser, bags: str = "+", required: bool = True) -> None:
@@ -211,8 +242,33 @@ def run(options: argparse.Namespace) -> int:
     if requests_separate_runs(options):
         return play_separately(options)
     reporter = StderrReporter().attach(show_events=True)
-    play(options, reporter)
+    played = play(options, reporter)
+    if _records_coverage(options):
+        _report_coverage(options, played.coverage)
     return 1 if reporter.errors else 0
+
+
+def _records_coverage(options: argparse.Namespace) -> bool:
+    return bool(options.coverage or options.html or options.cobertura)
+
+
+def _report_coverage(options: argparse.Namespace, parts: "Sequence[CoveredPart]") -> None:
+    """Print and write the coverage as the options request it.
+
+    Raises:
+        UsageError: if a file cannot be written.
+    """
+    # Imported only for this report, because other runs start faster without it.
+    from ..testing.html_report import write_html_report  # noqa: PLC0415
+    from ..testing.rule_coverage import format_coverage, write_cobertura_report  # noqa: PLC0415
+
+    if options.coverage:
+        for line in format_coverage(parts):
+            print(line, file=sys.stderr)
+    if options.cobertura is not None:
+        write_cobertura_report(options.cobertura, parts)
+    if options.html is not None:
+        write_html_report(options.html, f"Coverage of {options.program}", (), parts)
 
 
 _OUTPUT_FUNCTOR = functor("output", 2)
@@ -229,14 +285,21 @@ def print_record(record: Mapping[str, Any]) -> None:
     print_json(record, flush=False)
 
 
+class PlayedRun(NamedTuple):
+    """A finished run: the program in its final state, and its parts with their uses, if the options request them."""
+
+    playback: Playback
+    coverage: "Tuple[CoveredPart, ...]"
+
+
 def play(
     options: argparse.Namespace,
     reporter: StderrReporter,
     write_record: RecordHandler = print_record,
     state: Optional[bytes] = None,
     is_last: bool = True,
-) -> Playback:
-    """Play the bags of the options as one recording; return the program in its final state.
+) -> PlayedRun:
+    """Play the bags of the options as one recording.
 
     Args:
         options: options of the command.
@@ -251,7 +314,12 @@ def play(
         bags = stack.enter_context(open_bags(options))
         # Each line of output is JSON, so what goals print, also while the program is loaded, goes to standard error.
         with redirect_stdout(sys.stderr) if options.json else nullcontext():
-            playback = create_playback(options, reporter, bags, state)
+            playback = create_playback(options, reporter, bags, state, _records_coverage(options))
+        recorder = None
+        if _records_coverage(options):
+            from ..testing.rule_coverage import CoverageRecorder  # noqa: PLC0415 - see `_report_coverage`
+
+            recorder = CoverageRecorder(playback.engine, is_restored=state is not None)
         if options.json:
             redirect_goal_output(playback.engine.program.logic)
         # Recording costs time and memory per event, so it is switched on only for the explanations.
@@ -269,13 +337,19 @@ def play(
             if writer is not None:
                 writer.write(output)
         printer.finish()
-    return playback
+    return PlayedRun(playback, () if recorder is None else tuple(recorder.parts()))
 
 
 def open_bags(options: argparse.Namespace) -> MergedBag:
     """Open the bags of the options."""
     with interruptible():
-        return MergedBag(options.bags, options.start, options.duration, options.max_chunk_megabytes)
+        return MergedBag(
+            options.bags,
+            options.start,
+            options.duration,
+            options.max_chunk_megabytes,
+            message_folders(options),
+        )
 
 
 def create_playback(
@@ -283,6 +357,7 @@ def create_playback(
     reporter: StderrReporter,
     bags: Optional[MergedBag] = None,
     state: Optional[bytes] = None,
+    counts_uses: bool = False,
 ) -> Playback:
     """Load the program of the options.
 
@@ -292,11 +367,15 @@ def create_playback(
         bags: bags whose message types are known when the program is loaded, for rules that name fields; None if the
             types of the system suffice.
         state: snapshot of the program to continue from; None to start without state.
+        counts_uses: whether the parts of the program count their uses.
     """
     settings = apply_limits(apply_folders(Settings(), options), options)
-    settings = settings._replace(max_gap=options.max_gap or None, watermark_delay=options.watermark_delay)
+    settings = settings._replace(
+        max_gap=options.max_gap or None, watermark_delay=options.watermark_delay, counts_uses=counts_uses
+    )
     if options.tf_cache:
         settings = settings._replace(tf_cache=options.tf_cache)
+    definitions = installed_definitions(message_folders(options))
     return Playback(
         options.program,
         reporter,
@@ -306,7 +385,8 @@ def create_playback(
         bag=bags,
         state=state,
         direct=options.direct,
-        definitions=installed_definitions(message_folders(options)),
+        definitions=definitions,
+        prepare=connect_answers(options, definitions),
     )
 
 
@@ -477,12 +557,14 @@ class BagOutcome(NamedTuple):
         stderr_text: text of errors and warnings.
         failure: reason why there is no result; None if there is one.
         state: snapshot of the program for the next part; None without one.
+        coverage: parts of the program with their uses; empty if the options do not request them.
     """
 
     errors: int
     stderr_text: str
     failure: Optional[str] = None
     state: Optional[bytes] = None
+    coverage: "Tuple[CoveredPart, ...]" = ()
 
 
 _PROCESS_LOCK = threading.Lock()
@@ -497,11 +579,14 @@ def play_bag(task: BagTask, scratch: str) -> BagOutcome:
         scratch: folder for temporary files.
     """
     stderr, failure, bag, state = _LimitedOutput(), "", task.location, None
+    coverage: Tuple[CoveredPart, ...] = ()
     with _PROCESS_LOCK, redirect_stderr(stderr):
         reporter = StderrReporter().attach(show_events=True)
         try:
             with local_copy(task.location, scratch) as bag, result_file(task.target, scratch) as result:
-                state = _play_to_file(result, bag, task, reporter)
+                played = _play_to_file(result, bag, task, reporter)
+                coverage = played.coverage
+                state = played.playback.engine.snapshot() if task.has_next_part else None
         except RetalisError as error:
             failure = str(error)
         except Exception as error:
@@ -512,11 +597,11 @@ def play_bag(task: BagTask, scratch: str) -> BagOutcome:
             restore_gc()
     # Messages name the bag as the user gave it, not the temporary copy of a URL.
     messages, failure = (text.replace(bag, task.location) for text in (stderr.getvalue(), failure))
-    return BagOutcome(reporter.errors, messages, failure or None, state)
+    return BagOutcome(reporter.errors, messages, failure or None, state, coverage)
 
 
-def _play_to_file(result: str, bag: str, task: BagTask, reporter: StderrReporter) -> Optional[bytes]:
-    """Play a bag into a file; return the program's snapshot if a part follows."""
+def _play_to_file(result: str, bag: str, task: BagTask, reporter: StderrReporter) -> PlayedRun:
+    """Play a bag into a file."""
     options = argparse.Namespace(**task.options, bags=[bag], output=None, overwrite=True)
     write_record: RecordHandler = print_record
     with ExitStack() as stack:
@@ -531,8 +616,7 @@ def _play_to_file(result: str, bag: str, task: BagTask, reporter: StderrReporter
         printed_output_path = result if task.format in (None, "jsonl") else os.devnull
         file = stack.enter_context(open(printed_output_path, "w", encoding="utf-8"))
         stack.enter_context(redirect_stdout(file))
-        playback = play(options, reporter, write_record, task.state, not task.has_next_part)
-        return playback.engine.snapshot() if task.has_next_part else None
+        return play(options, reporter, write_record, task.state, not task.has_next_part)
 
 
 class _LimitedOutput(io.StringIO):
@@ -563,8 +647,8 @@ def add_many_bags_options(parser: argparse.ArgumentParser) -> None:
     """Add the options for many bags."""
     group = parser.add_argument_group(
         "many bags",
-        "Each bag is a separate run of the program. A bag that cannot be played is reported, and the others are "
-        "played. A bag whose worker dies is played again by another worker.",
+        "A bag that cannot be played is reported, and the others are played. A bag whose worker dies is played again "
+        "by another worker.",
     )
     add = group.add_argument
     add(
@@ -656,6 +740,8 @@ def play_separately(options: argparse.Namespace) -> int:
             reporter.add_outcome(number, outcome)
             if bar is not None:
                 bar(reporter.finished_count)
+        if _records_coverage(options):
+            _report_coverage(options, reporter.coverage)
         return reporter.finish()
 
 
@@ -744,6 +830,8 @@ def _create_tasks(
     bag_options = single_bag_options(options)
     bag_options["program"] = Path(absolute(options.program))
     bag_options["msg"] = [Path(absolute(folder)) for folder in options.msg]
+    if options.answers is not None:
+        bag_options["answers"] = Path(absolute(options.answers))
     bag_options["folder"] = [absolute(folder_name) for folder_name in options.folder]
     targets: Dict[str, str] = {}
     tasks: List[BagTask] = []
@@ -786,6 +874,7 @@ class _OutcomeReporter:
 
     Attributes:
         finished_count: number of bags that have finished or failed.
+        coverage: parts of the program with the sums of their uses over the bags that have been reported.
     """
 
     def __init__(self, tasks: List[BagTask], to_print: bool):
@@ -797,6 +886,7 @@ class _OutcomeReporter:
         self._failed_count = 0
         self._message_counts: Dict[str, int] = {}
         self.finished_count = 0
+        self.coverage: List[CoveredPart] = []
 
     def add_outcome(self, number: int, outcome: _TaskOutcome) -> None:
         """Store the outcome of a bag; report all outcomes whose predecessors have been reported."""
@@ -815,6 +905,11 @@ class _OutcomeReporter:
         failure = _get_failure(outcome)
         if isinstance(outcome, BagOutcome):
             self._error_count += outcome.errors
+            if outcome.coverage:
+                from ..testing.rule_coverage import merge_parts  # noqa: PLC0415 - see `_report_coverage`
+
+                # Added up bag by bag, since thousands of lists would need much memory.
+                self.coverage = merge_parts([self.coverage, outcome.coverage])
             self._report_messages(task, outcome.stderr_text)
         # A worker of a cluster may have written to a folder of its own machine with the same path.
         if failure is None and not (self._to_print or is_url(task.target) or os.path.exists(task.target)):

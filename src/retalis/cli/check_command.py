@@ -1,15 +1,18 @@
 """Command ``check``: reports errors and likely mistakes of a program before it runs."""
 
 import argparse
+import re
 import sys
 from collections import Counter
 from pathlib import Path
-from typing import Callable, Dict, List
+from typing import Callable, Dict, List, Sequence
 
+from ..editing.rule_verbalization import RuleReading, read_program
 from ..engine.engine_settings import Settings
 from ..engine.program_check import check_program
 from ..events.checks.check_runner import ERROR, INFO, Finding
 from ..events.checks.program_model import RecordedTopic
+from ..events.language.rule_labels import rule_title
 from ..foundation.errors import MessageError, format_count, printable
 from ..foundation.output_files import print_json
 from ..messages.type_registry import Definitions
@@ -27,6 +30,7 @@ from .optional_ros_imports import installed_definitions
 from .stderr_and_progress import paint
 
 _DEFAULT_MAX_SECONDS = 60
+_MARKED_LETTER = re.compile(r"`[^`]*`|\*\*([A-Z])\*\*")
 
 DESCRIPTION = """\
 Load a program's folder as a node does, without ROS, or a file of rules, and report errors and likely mistakes, each
@@ -53,6 +57,11 @@ def add_parser(add_command: Callable[..., argparse.ArgumentParser]) -> None:
     )
     add("--format", choices=("text", "json"), default="text", help="lines for people, or one JSON object")
     add("--json", action="store_const", const="json", dest="format", help="the same as --format json")
+    add(
+        "--explain",
+        action="store_true",
+        help="say first, in words, how rules and states are read",
+    )
     add("--strict", action="store_true", help="exit with status 2 if there are warnings")
     add(
         "--bag",
@@ -63,8 +72,8 @@ def add_parser(add_command: Callable[..., argparse.ArgumentParser]) -> None:
         help="a bag whose message types are added, whose topics are compared with those of pub_sub.xml, and whose "
         "rates with the spans of rules",
     )
+    add = parser.add_argument_group("message types, limits and permissions").add_argument
     add_message_folders(add)
-    add = parser.add_argument_group("limits and permissions").add_argument
     add_direct(add)
     add_chunk_limit_option(add)
     add_swi(add)
@@ -85,7 +94,9 @@ def run(options: argparse.Namespace) -> int:
     recorded_topics = [
         topic
         for path in options.bag
-        for topic in _add_types_of_bag(definitions, path, options.max_chunk_megabytes)
+        for topic in _add_types_of_bag(
+            definitions, path, options.max_chunk_megabytes, message_folders(options)
+        )
     ]
     settings = Settings(allow_swi=options.allow_swi, limits=Limits(options.max_seconds or None))
     findings = check_program(options.folder, definitions, options.direct, settings, tuple(recorded_topics))
@@ -94,9 +105,15 @@ def run(options: argparse.Namespace) -> int:
     warnings = len(findings) - errors - infos
     if options.format == "json":
         counts = {"errors": errors, "warnings": warnings, "infos": infos}
-        content = {"findings": [_finding_to_json(finding) for finding in findings], **counts}
+        content: Dict[str, object] = {}
+        if options.explain:
+            content["rules"] = [_reading_to_json(reading) for reading in read_program(str(options.folder))]
+        content.update({"findings": [_finding_to_json(finding) for finding in findings], **counts})
         print_json(content)
     else:
+        for reading in read_program(str(options.folder)) if options.explain else ():
+            title = rule_title(reading.name, f"{reading.path}:{reading.line}")
+            print(f"{printable(title)}\n{_plain_text(reading)}\n")
         for finding in findings:
             print(f"{paint(finding.severity, finding.severity, sys.stdout)}: {finding.problem}")
         counts_text = f"{_format_count(errors, 'error')}, {_format_count(warnings, 'warning')}"
@@ -106,9 +123,11 @@ def run(options: argparse.Namespace) -> int:
     return 2 if warnings and options.strict else 0
 
 
-def _add_types_of_bag(definitions: Definitions, path: Path, max_chunk_megabytes: int) -> List[RecordedTopic]:
+def _add_types_of_bag(
+    definitions: Definitions, path: Path, max_chunk_megabytes: int, folders: Sequence[str]
+) -> List[RecordedTopic]:
     """Add the message types of a bag, and return its topics; a malformed definition is reported and skipped."""
-    with open_bag(path, max_chunk_megabytes) as bag:
+    with open_bag(path, max_chunk_megabytes, folders) as bag:
         for topic in bag.topics:
             try:
                 definitions.received(topic.type, topic.type, topic.definition, topic.md5sum)
@@ -124,6 +143,20 @@ def _add_types_of_bag(definitions: Definitions, path: Path, max_chunk_megabytes:
 
 def _format_count(number: int, noun: str) -> str:
     return format_count(number, noun) if number else f"no {noun}s"
+
+
+def _plain_text(reading: RuleReading) -> str:
+    """Return a reading without the markup of letters; operands are in backquotes."""
+    return printable(_MARKED_LETTER.sub(lambda match: match[1] or match[0], reading.text))
+
+
+def _reading_to_json(reading: RuleReading) -> Dict[str, object]:
+    return {
+        "rule": reading.name,
+        "file": reading.path,
+        "line": reading.line,
+        "text": _plain_text(reading),
+    }
 
 
 def _finding_to_json(finding: Finding) -> Dict[str, object]:

@@ -4,9 +4,11 @@ import argparse
 from pathlib import Path
 from typing import Callable, List, NamedTuple, Optional
 
+from ..engine.engine import Engine
 from ..engine.engine_settings import Settings
 from ..events.program.topic_configuration import AUTO, DirectTopics, read_direct
 from ..foundation.errors import UsageError
+from ..messages.type_registry import Definitions
 from ..prolog.machine.resource_limits import Limits
 from .option_values import non_negative, positive_integer
 
@@ -27,26 +29,26 @@ _LIMIT_OPTIONS = (
         "--max-seconds",
         float,
         None,
-        "seconds that an event, goal or query may take, with everything that it starts (0)",
+        "seconds for an event, goal or query, with everything that it starts (0)",
     ),
-    _LimitOption("--max-inferences", int, None, "inferences that it may take (0)"),
+    _LimitOption("--max-inferences", int, None, "inferences of an event, goal or query (0)"),
     _LimitOption(
         "--max-megabytes",
         float,
         _DEFAULT_MAX_MEGABYTES,
-        f"memory that it may take, in megabytes ({_DEFAULT_MAX_MEGABYTES})",
+        f"memory of an event, goal or query, in megabytes ({_DEFAULT_MAX_MEGABYTES})",
     ),
     _LimitOption(
         "--max-output-megabytes",
         float,
         None,
-        "text that it may write to standard output and standard error, in megabytes (0)",
+        "text on standard output and standard error, in megabytes (0)",
     ),
     _LimitOption(
         "--watchdog",
         float,
         None,
-        "warn if an event, goal or query takes longer than this many seconds, with its rule (0)",
+        "warn of longer events, goals and queries, with their rule; in seconds (0)",
     ),
 )
 
@@ -102,14 +104,14 @@ def apply_limits(settings: Settings, options: argparse.Namespace) -> Settings:
 
 
 def add_folders(parser: argparse.ArgumentParser) -> None:
-    """Add the options for folders in which goals may open files."""
+    """Add the options for folders in which goals may open files, and ``--answers``."""
     add = parser.add_argument_group("files").add_argument
     add(
         "--folder",
         action="append",
         default=[],
         metavar="FOLDER",
-        help="a further folder in which goals of events, streams and queries may read files",
+        help="a further folder in which goals may read files",
     )
     add(
         "--write-folder",
@@ -118,6 +120,28 @@ def add_folders(parser: argparse.ArgumentParser) -> None:
         metavar="FOLDER",
         help="a folder in which goals may write and read files; persistent events go into the first",
     )
+    add_answers(add)
+
+
+def add_answers(add: AddArgument) -> None:
+    """Add the option for answers of ROS services and for ROS parameters."""
+    add("--answers", type=Path, metavar="FILE", help="answers of ROS services and parameters (YAML)")
+
+
+def connect_answers(options: argparse.Namespace, definitions: Definitions) -> Callable[[Engine], object]:
+    """Return a function that provides an engine with the answers of the options.
+
+    Raises:
+        RetalisError: if the file is wrong.
+    """
+    if options.answers is None:
+        return lambda engine: None
+    # Few commands read YAML, whose import takes long.
+    from ..testing.case_file import read_answers_file  # noqa: PLC0415
+    from ..testing.offline_ros import OfflineRos  # noqa: PLC0415
+
+    services, parameters = read_answers_file(options.answers)
+    return OfflineRos(services, parameters, definitions).connect
 
 
 def apply_folders(settings: Settings, options: argparse.Namespace) -> Settings:
@@ -182,18 +206,19 @@ def add_message_folders(add: AddArgument) -> None:
         action="append",
         default=[],
         metavar="FOLDER",
-        help="message types in addition to the installed ones: a package with a folder msg, that folder itself, or a "
-        "folder of packages",
+        help="message types in addition to the installed ones: a package with a folder msg, srv or action, that "
+        "folder itself, or a folder of packages",
     )
 
 
 def message_folders(options: argparse.Namespace) -> List[str]:
     """Return the folders in which packages are searched.
 
-    These are the folders of ``--msg``, or the parent of a folder ``msg``.
+    These are the folders of ``--msg``, or the parent of a folder ``msg``, ``srv`` or ``action``.
     """
     folders = [path.resolve() for path in options.msg]
-    return [str(folder.parent if folder.name == "msg" else folder) for folder in folders]
+    definition_folders = ("msg", "srv", "action")
+    return [str(folder.parent if folder.name in definition_folders else folder) for folder in folders]
 
 
 def add_chunk_limit_option(add: AddArgument) -> None:

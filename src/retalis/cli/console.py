@@ -11,7 +11,6 @@ import os
 import sys
 import time
 from contextlib import closing, nullcontext
-from io import StringIO
 from pathlib import Path
 from typing import Callable, Dict, Iterable, Iterator, List, NamedTuple, Optional, Set, Tuple, Union, cast
 
@@ -30,7 +29,7 @@ from ..prolog.syntax.term_reader import ReadTerm
 from ..prolog.terms.list_terms import list_items
 from ..prolog.terms.types import COMMA, Atom, String, Term, Var, deref, functor
 from . import node_console
-from .command_options import add_limits, apply_limits
+from .command_options import add_answers, add_limits, apply_limits, connect_answers
 from .help_search import all_entries, search
 from .option_values import non_negative
 from .optional_ros_imports import installed_definitions
@@ -41,6 +40,7 @@ from .toplevel_io import (
     TerminalInput,
     discard_unread_text,
     format_bindings,
+    open_goal_text,
     read_clause,
 )
 
@@ -251,6 +251,7 @@ def add_parser(add_command: Callable[..., argparse.ArgumentParser]) -> None:
         metavar="/NAME",
         help="ask the node of this name, which runs, instead of an engine of its own",
     )
+    add_answers(add)
     add_limits(parser)
     parser.set_defaults(run=run)
 
@@ -263,15 +264,16 @@ def run(options: argparse.Namespace) -> int:
         return node_console.run(options)
     reporter = StderrReporter().attach(show_events=True)
     console = Console(reporter, apply_limits(UNRESTRICTED, options), options.max_solutions, options.json)
+    connect_answers(options, installed_definitions())(console.engine)
     for path in options.files:
         console.load(path)
     # After the files are loaded: their clauses are exempted from later collections.
     limit_gc_pauses()
     if options.goal:
         for goal in options.goal:
-            console.solve_goals(PipedInput(StringIO(goal if goal.rstrip().endswith(".") else f"{goal} .\n")))
+            console.solve_goals(open_goal_text(goal))
     elif sys.stdin.isatty():
-        console.solve_goals(TerminalInput(console.predicate_names))
+        console.solve_goals(TerminalInput(list_names=console.predicate_names))
         return 0
     else:
         console.solve_goals(PipedInput(sys.stdin))

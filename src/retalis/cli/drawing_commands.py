@@ -7,13 +7,13 @@ from typing import Callable, Dict, List, Optional, Sequence
 
 from ..engine.engine import Engine
 from ..engine.engine_settings import Settings
+from ..engine.ros_parameters import no_parameters
 from ..engine.run_records import open_records
 from ..events.program.topic_configuration import GOALS, TOPICS, Topics, read_topics
 from ..foundation.errors import ProgramErrors, UsageError
 from ..foundation.garbage_collection import limit_gc_pauses
 from ..foundation.interrupts import interruptible
 from ..foundation.output_files import open_output, print_json
-from ..messages.type_definition import functor_name
 from ..playback.playback import RunRecorder
 from ..prolog.terms import timestamps
 from ..visualization.program_graph import (
@@ -83,6 +83,8 @@ def draw_program(options: argparse.Namespace) -> int:
     engine = Engine(settings=apply_limits(Settings(), options), definitions=installed_definitions())
     # Goals may subscribe to topics during loading. They are recorded for the graph, and nothing is subscribed.
     engine.on_topic_request(lambda request: None)
+    engine.on_service_call(lambda call: None)
+    engine.on_parameter_read(no_parameters)
     try:
         engine.load_program(folder)
     except ProgramErrors as errors:
@@ -127,10 +129,7 @@ def _collect_topics(folder: Path, engine: Engine) -> List[GraphTopic]:
     topics = engine.with_requested_topics(
         read_topics(folder / TOPICS) if (folder / TOPICS).exists() else Topics()
     )
-    return [
-        GraphTopic(name, topics.event_name_of(name) or functor_name(type_name))
-        for name, type_name in topics.subscribed
-    ]
+    return [GraphTopic(topic.topic, topics.functor_name_of(topic)) for topic in topics.subscribed]
 
 
 PAGE_SUFFIXES = ("html", "htm")

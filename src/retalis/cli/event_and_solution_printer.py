@@ -5,7 +5,7 @@ from typing import IO, Any, Dict, Iterable, List, Mapping, Optional, cast
 
 from ..engine.run_records import OpenRecord, OpenStateRecord, OutputRecord
 from ..events.knowledge.knowledge_base import MEMORY_EVENTS
-from ..explanation.event_explanations import Explanation, ExplanationLine
+from ..explanation.explanation_lines import Explanation, ExplanationLine
 from ..foundation.errors import format_count
 from ..foundation.output_files import print_json
 from ..prolog.syntax.term_writer import add_full_stop, canonical_text
@@ -162,7 +162,7 @@ class Printer:
             else:
                 window = record
                 key = ", ".join(f"{name} = {value}" for name, value in window["key"].items())
-                subject = f"window {window['open_window']} of {window['rule']}{key and f' for {key}'}"
+                subject = f"window {window['open_window']} of {window['name']}{key and f' for {key}'}"
                 details = f", with {format_count(window['elements'], 'element')}"
             print(f"% {subject} is open since {canonical_text(instant)}{details}", flush=True)
 

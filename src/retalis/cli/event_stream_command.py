@@ -51,6 +51,7 @@ from .command_options import (
     add_limits,
     apply_folders,
     apply_limits,
+    connect_answers,
 )
 from .event_and_solution_printer import JSON_HELP, Printer, TimeOrigin, redirect_goal_output
 from .option_values import RELATIVE_TIMES_OPTION, TIMES_RELATIVE
@@ -189,7 +190,8 @@ JSON_LINES_HELP = """\
   {"output": TERM, "topic": TOPIC, "id": ID, "time": T}    with --outputs, into that file
   {"query": GOAL, "solutions": [GOAL, ...]}         for each goal of --queries
   {"open": TERM, "start": T}                        with --open, a declared state that is open at the end
-  {"open_window": WINDOW, "rule": HEAD, "key": {VARIABLE: TERM, ...}, "elements": N, "start": T1, "end": T2 or null}
+  {"open_window": WINDOW, "rule": HEAD, "name": NAME, "key": {VARIABLE: TERM, ...}, "elements": N,
+   "start": T1, "end": T2 or null}
   {"explain": TERM, "happened": true or false, "because": [{"text": LINE, "below": [...]}, ...]}
 """
 
@@ -303,13 +305,15 @@ class Session:
         self._printer = printer
         self._clock = StreamClock(0, follows_events=True)
         self.reports = Reports()
+        definitions = installed_definitions()
         self.engine = Engine(
             self._clock,
             # The clock follows the stamps, so an event with an earlier stamp does not lag: it is out of order.
             apply_limits(apply_folders(Settings(watermark_delay=0), options), options),
             self.reports,
-            installed_definitions(),
+            definitions,
         )
+        connect_answers(options, definitions)(self.engine)
         if options.json:
             redirect_goal_output(self.engine.program.logic)
         # Registered before goals are called, because goals may cause events.
@@ -377,7 +381,9 @@ class Session:
 
     def _end_stream(self) -> None:
         if self._options.flush:
-            self._clock.move_by(timestamps.from_seconds(self._options.flush))
+            end = self._clock.reached() + timestamps.from_seconds(self._options.flush)
+            self._clock.fire_alarms(end, self.engine.advance)
+            self._clock.move_to(end)
             self.engine.advance()
         self.engine.end_input()
 
@@ -417,6 +423,10 @@ class Session:
                     once=True,
                 )
             self._newest_end = max(self._newest_end, event.end)
+            if self._options.answers is not None and self._clock.reached():
+                # Answers of services that are due before are events, too. Without answers, the engine fires the
+                # alarms, because it first checks whether the stamp of the event may be wrong.
+                self._clock.fire_alarms(event.end, self.engine.advance)
         ahead_count = self.engine.far_ahead_count
         self.engine.event(event.term, *event.interval_terms())
         # The events that follow a wrong stamp do not go back.

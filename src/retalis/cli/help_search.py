@@ -367,6 +367,12 @@ def search(text: str, entries: Iterable[HelpEntry]) -> List[HelpEntry]:
     """Return the entries that fit a text best, best first."""
     entries = list(entries)
     stems = _searched_stems(text)
+    if _STOP_WORDS.issuperset(split_words(text)):
+        # Stop words alone mean operators, such as `and`: the pattern of a situation has them.
+        entries = [entry for entry in entries if entry.kind == _SITUATION]
+        entries = [
+            entry for entry in entries if stems.intersection(map(stem_word, split_words(entry.excerpt)))
+        ]
     frequencies: Dict[str, int] = Counter(
         stem for entry in entries for stem in entry.stems().intersection(stems)
     )

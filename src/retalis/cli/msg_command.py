@@ -9,7 +9,7 @@ from ..foundation.errors import MessageError, UsageError, printable
 from ..foundation.output_files import print_json
 from ..foundation.ros_name_checks import ros1_type_name, type_fault
 from ..messages.message_templates import format_positional, format_with_names, format_with_zeros
-from ..messages.type_definition import Definition
+from ..messages.type_definition import QUOTED_STRINGS, STRING_FORMS, Definition
 from ..messages.type_registry import Definitions
 from ..playback.bag_locations import open_bag
 from .command_options import add_chunk_limit_option
@@ -46,6 +46,12 @@ def add_parser(add_command: Callable[..., argparse.ArgumentParser]) -> None:
         help="term: a variable for each slot, slots as comments (default); names: slots by name; "
         "zero: a message with zeros, to publish",
     )
+    parser.add_argument(
+        "--strings",
+        choices=STRING_FORMS,
+        default=QUOTED_STRINGS,
+        help="form of strings with --format zero, as in pub_sub.xml: quoted (default) or plain",
+    )
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     add_chunk_limit_option(parser.add_argument)
     parser.set_defaults(run=run, reject_usage=parser.error)
@@ -60,7 +66,7 @@ def run(options: argparse.Namespace) -> int:
         return 0
     # Functors in programs have `__0__` in place of the slash; both forms are accepted.
     type_name = ros1_type_name(options.type.replace("__0__", "/"))
-    definitions = installed_definitions()
+    definitions = installed_definitions().with_strings(options.strings)
     name_error = type_fault(type_name)
     if name_error is not None:
         raise UsageError(f"{name_error}{_suggest_type(definitions, type_name)}")
@@ -69,6 +75,9 @@ def run(options: argparse.Namespace) -> int:
     try:
         definition = definitions.find(type_name)
     except MessageError as error:
+        parts = [f"{type_name}_{part}" for part in ("Request", "Response")]
+        if all(part in definitions for part in parts):
+            raise UsageError(f"{type_name} is a service: its messages are {' and '.join(parts)}") from error
         hint = "" if options.bag is not None else "; use --bag BAG to read it from a bag"
         raise UsageError(f"{error.message}{_suggest_type(definitions, type_name) or hint}") from error
     text = FORMATS[options.format](definition, definitions)

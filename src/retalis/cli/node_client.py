@@ -6,6 +6,7 @@ identified by their services, not by their names, which launch files may change.
 
 import sys
 from typing import (
+    TYPE_CHECKING,
     Any,
     Callable,
     Container,
@@ -16,13 +17,18 @@ from typing import (
     NamedTuple,
     Optional,
     Protocol,
+    Sequence,
     Set,
 )
 
 from ..engine.client_requests import decode_bindings
 from ..foundation.errors import UsageError
 from ..foundation.output_files import print_json
+from ..messages.type_definition import Definition, SerializationFormat
 from ..node.services import NO_DURATION
+
+if TYPE_CHECKING:
+    from ..messages.type_registry import InstalledTypes
 
 ENGINE_SERVICE_SUFFIX = "/add_memory"
 """Suffix of a service that identifies nodes with an engine, in all versions."""
@@ -38,6 +44,9 @@ DURATION_FIELDS = frozenset(("age", "behind", "lag", "work_time"))
 
 MAX_RESPONSE_SECONDS = 60.0
 """Seconds after which a service counts as silent, in addition to the times that its request states."""
+
+CONNECTION_SECONDS = 5.0
+"""Seconds after which a topic, or a service that was discovered, counts as impossible to connect to."""
 
 _SECOND = 10**9
 
@@ -62,13 +71,20 @@ class ClientConnection(Protocol):
     Attributes:
         namespace: namespace of this shell, with a slash at its end.
         scope: where nodes are searched, as the end of an error; may be empty.
+        end_of_time: seconds since the epoch from which on messages cannot contain an instant.
+        format: serialization of messages.
     """
 
     namespace: str
     scope: str
+    end_of_time: int
+    format: SerializationFormat
 
     def resolve_node(self, name: str) -> str:
         """Return the full name of a node, which may be relative to the namespace."""
+
+    def limit_discovery(self, seconds: float) -> None:
+        """Wait at most some seconds, from now on, for nodes that the middleware discovers."""
 
     def find_nodes(self, requested_name: Optional[str] = None) -> RunningNodes:
         """Return the running nodes.
@@ -112,6 +128,26 @@ class ClientConnection(Protocol):
         Args:
             topic: full name of a topic of type ``std_msgs/String``.
             receive: receives the texts. While it waits, the middleware may drop further texts.
+        """
+
+    def installed_types(self, extra_folders: Sequence[str]) -> "InstalledTypes":
+        """Return the message types that are installed for the middleware.
+
+        Args:
+            extra_folders: folders that are searched first, if the middleware can publish types that are not built.
+        """
+
+    def advertise(self, topic: str, definition: Definition) -> Callable[[bytes], object]:
+        """Return the function that publishes serialized messages on a topic; needs `start_node`.
+
+        This returns when a node that subscribes to the topic is connected.
+
+        Args:
+            topic: full name of the topic.
+            definition: type of the messages.
+
+        Raises:
+            UsageError: if no node subscribes to the topic, or the type cannot be published.
         """
 
     def end(self) -> None:

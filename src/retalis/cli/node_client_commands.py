@@ -19,6 +19,7 @@ from ..node.text_exchange import INPUT, OUTPUT, WATCH
 from ..prolog.syntax.operators import Operators
 from ..prolog.syntax.term_reader import read_term
 from ..prolog.syntax.term_writer import write_term, writeq
+from ..prolog.terms import timestamps
 from ..prolog.terms.types import deref
 from . import node_status_tables
 from .node_client import (
@@ -42,8 +43,8 @@ _MAX_QUEUED_TEXTS = 10_000
 _MAX_STATUS_INTERVAL_SECONDS = 86_400
 """Limit in seconds for the interval of ``status``."""
 
-_TIME_LIMIT_SECONDS = 1 << 32
-"""First second that a time in a ROS message cannot represent."""
+MAX_COMPLETION_SECONDS = 1.5
+"""Seconds for which the completion of a name waits for nodes."""
 
 
 def run(options: argparse.Namespace) -> int:
@@ -65,7 +66,7 @@ def _query(connection: ClientConnection, options: argparse.Namespace) -> int:
             seconds=options.seconds,
             inferences=options.inferences,
             wait_for=options.wait_for,
-            stamp=_to_nanoseconds(options.stamp),
+            stamp=_to_nanoseconds(options.stamp, connection.end_of_time),
             timeout=options.timeout,
         )
     )
@@ -85,14 +86,10 @@ def _query(connection: ClientConnection, options: argparse.Namespace) -> int:
     return 0 if response.solutions else 1
 
 
-def _to_nanoseconds(seconds: float) -> int:
-    if not 0 <= seconds < _TIME_LIMIT_SECONDS:
-        raise UsageError(
-            f"--stamp: expected seconds since the epoch, below {_TIME_LIMIT_SECONDS}, found {seconds:g}"
-        )
-    whole_seconds = int(seconds)
-    # Separated first: their product with 10**9 would lose digits.
-    return whole_seconds * 10**9 + int((seconds - whole_seconds) * 1e9)
+def _to_nanoseconds(seconds: float, end_of_time: int) -> int:
+    if not 0 <= seconds < end_of_time:
+        raise UsageError(f"--stamp: expected seconds since the epoch, below {end_of_time}, found {seconds:g}")
+    return timestamps.from_seconds(seconds)
 
 
 def _explain(connection: ClientConnection, options: argparse.Namespace) -> int:
@@ -165,7 +162,7 @@ def _status(connection: ClientConnection, options: argparse.Namespace) -> int:
         status = _node_status(connection, node)
         _print_all(_format_status(node, previous, status, monotonic() - listed_at))
         return 0
-    with _start_node(connection, "retalis_status") as output:
+    with start_node(connection, "retalis_status") as output:
         _show_status(connection, node, options, output)
     return 0
 
@@ -196,7 +193,7 @@ def _show_status(
 
 
 @contextmanager
-def _start_node(connection: ClientConnection, name: str) -> Iterator[IO[str]]:
+def start_node(connection: ClientConnection, name: str) -> Iterator[IO[str]]:
     """Make this process a node; yield the stream for the output of the command.
 
     rospy prints messages to stdout, from several threads: that it cannot register, or that the node is asked to end.
@@ -226,7 +223,7 @@ def _add_event_rate(previous: Dict[str, Any], status: Dict[str, Any], seconds: f
 
 def _watch(connection: ClientConnection, options: argparse.Namespace) -> int:
     node = NodeClient(connection, options.node)
-    with _start_node(connection, "retalis_watch") as output:
+    with start_node(connection, "retalis_watch") as output:
         _watch_node(connection, node, options, output)
     return 0
 
@@ -247,7 +244,7 @@ def _watch_node(
         connection.subscribe(input_topic, lambda text: received.put(("input", text)))
     subscription_ids = []
     # The subscriptions exist in the node, so they must be deleted however this process ends.
-    with _exit_by_exception():
+    with exit_by_exception():
         try:
             for index, pattern in enumerate(options.event):
                 # A subscription whose format is a variable sends the event itself.
@@ -274,7 +271,7 @@ def _watch_node(
 
 
 @contextmanager
-def _exit_by_exception() -> Iterator[None]:
+def exit_by_exception() -> Iterator[None]:
     """Raise SystemExit after the signals that end a process.
 
     Under nohup, SIGHUP is ignored and must stay so.
@@ -345,6 +342,7 @@ def list_completions(category: str, node: Optional[str]) -> List[str]:
         UsageError: if ROS is not installed, or no node answers.
     """
     connection = connect_client()
+    connection.limit_discovery(MAX_COMPLETION_SECONDS)
     try:
         if category == "nodes":
             return find_engine_nodes(connection.find_nodes().services)

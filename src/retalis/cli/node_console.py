@@ -2,7 +2,6 @@
 
 import argparse
 import sys
-from io import StringIO
 from typing import Sequence, Union
 
 from ..foundation.errors import SyntaxFault, UsageError, printable
@@ -37,12 +36,10 @@ def run(options: argparse.Namespace) -> int:
 
 def _run_console(console: "NodeConsole", goals: Sequence[str]) -> int:
     for goal in goals:
-        console.solve_goals(
-            toplevel_io.PipedInput(StringIO(goal if goal.rstrip().endswith(".") else f"{goal} .\n"))
-        )
+        console.solve_goals(toplevel_io.open_goal_text(goal))
     if not goals and sys.stdin.isatty():
         print(f"% {console.node.name}: goals end with a full stop; quit. or ctrl-D ends the console")
-        console.solve_goals(toplevel_io.TerminalInput(list))
+        console.solve_goals(toplevel_io.TerminalInput(list_names=list))
         return 0
     if not goals:
         console.solve_goals(toplevel_io.PipedInput(sys.stdin))

@@ -4,10 +4,11 @@
 compares two answers, and shows what is useful on a terminal: rates instead of counters, and ages instead of instants.
 """
 
+import os
 from textwrap import wrap
 from typing import Any, Callable, Dict, List, Mapping, NamedTuple, Optional, Sequence, Tuple
 
-from ..foundation.errors import format_count
+from ..foundation.errors import format_count, line_of
 
 MAX_COLUMN_WIDTH = 60
 """Limit for the width of a column in characters."""
@@ -56,10 +57,15 @@ def format_list(record: PlainRecord, has_engine: bool = True) -> List[str]:
     for name, title in _LIST_TITLES.items():
         rows, omitted_count = record.get(name), record.get(f"more_{name}")
         if rows:
-            lines += ["", title, *(f"  {line}" for line in format_table(rows))]
+            lines += ["", title, *(f"  {line}" for line in format_table(list(map(_name_first, rows))))]
         if omitted_count:
             lines += [f"  and {omitted_count} more" if rows else f"{title}: {omitted_count}"]
     return lines
+
+
+def _name_first(row: PlainRecord) -> PlainRecord:
+    """Return a record that begins with its name, if it has one: a rule."""
+    return {"name": row["name"], **row} if "name" in row else row
 
 
 _LIST_TITLES = {
@@ -237,8 +243,12 @@ _TABLE_FORMS = {
     "rules": _TableForm(
         ("label", "place", "text"),
         (
+            _Column("rule", lambda row, before, time: _format_value(row["name"]), can_shrink=True),
             _Column(
-                "rule", lambda row, before, time: _format_value(row["label"] or row["text"]), can_shrink=True
+                "place",
+                lambda row, before, time: _format_value(os.path.basename(line_of(row["place"]))),
+                can_shrink=True,
+                hidden_if_empty=True,
             ),
             _rate_column("fired", "firings/s"),
             _age_column("last_fired", "last"),

@@ -53,6 +53,7 @@ def _parse_number(number_type: Callable[[str], float], text: str) -> Optional[fl
         return None
 
 
+percentage = _make_converter(float, lambda number: 0 <= number <= 100, "a number from 0 to 100")
 positive_integer = _make_converter(int, lambda number: number >= 1, "a whole number of 1 or more")
 any_integer = _make_converter(int, lambda number: True, "a whole number")
 any_number = _make_converter(float, lambda number: True, "a number")

@@ -13,6 +13,9 @@ _package_logger = logging.getLogger("retalis")
 _event_logger = logging.getLogger("retalis.events")
 """Logger of the events that a program requests to be shown."""
 
+_goal_logger = logging.getLogger("retalis.goals")
+"""Logger of what goals log."""
+
 
 _COLOURS = {"error": "1;31", "warning": "1;33", "info": "1;34"}
 """Colour of each kind of finding on a terminal: parameters of the control sequence SGR of ECMA-48."""
@@ -51,6 +54,10 @@ class StderrReporter(logging.Handler):
         if record.name == _event_logger.name:
             print(text, file=sys.stderr)
             return
+        # What goals log is output, too, with its level.
+        if record.name == _goal_logger.name:
+            print(f"{record.levelname.lower()}: {text}", file=sys.stderr)
+            return
         if record.levelno < logging.WARNING:
             return
         is_error = record.levelno >= logging.ERROR
@@ -67,6 +74,7 @@ class StderrReporter(logging.Handler):
         """
         if show_events:
             _event_logger.setLevel(logging.INFO)
+        _goal_logger.setLevel(logging.INFO)
         _package_logger.addHandler(self)
         _package_logger.propagate = False
         return self
@@ -79,6 +87,7 @@ def detach_reporters() -> None:
     ]:
         _package_logger.removeHandler(handler)
     _event_logger.setLevel(logging.NOTSET)
+    _goal_logger.setLevel(logging.NOTSET)
     _package_logger.propagate = True
 
 

@@ -8,6 +8,8 @@ Input comes from a pipe (`PipedInput`), or from a terminal with history and comp
 import atexit
 import re
 import sys
+from collections import deque
+from io import StringIO
 from pathlib import Path
 from typing import IO, Callable, Dict, Iterable, Iterator, List, NamedTuple, Optional, Union
 
@@ -16,7 +18,7 @@ from ..foundation.interrupts import interruptible
 from ..prolog.syntax.operators import Operators
 from ..prolog.syntax.term_reader import ReadTerm, read_program
 from ..prolog.syntax.term_writer import write_term
-from ..prolog.syntax.tokenizer import ReadFlags
+from ..prolog.syntax.tokenizer import END, ReadFlags, Source, tokenize
 from ..prolog.system.prolog_system import PrologSystem
 from ..prolog.terms.term_traversal import variables
 from ..prolog.terms.types import Atom, Term, Var, deref, functor
@@ -267,6 +269,12 @@ def discard_unread_text(source: Union[PipedInput, TerminalInput]) -> None:
     source.unread_text = ""
 
 
+def open_goal_text(text: str) -> PipedInput:
+    """Return the input of a text of goals; the full stop after the last one may be omitted."""
+    # On a line of its own: in the last line, the full stop could be part of a comment.
+    return PipedInput(StringIO(text if _last_token_kind(text) in _FINAL_TOKENS else f"{text}\n."))
+
+
 def read_clause(
     source: Union[PipedInput, TerminalInput], logic: PrologSystem, prompt: str
 ) -> Optional[ParsedTerm]:
@@ -299,9 +307,22 @@ def read_clause(
 
 def _is_incomplete(term: ParsedTerm, text: str) -> bool:
     """Return whether a term is incomplete and may continue in the next line."""
-    if not isinstance(term, SyntaxFault) or text.rstrip().endswith("."):
+    if not isinstance(term, SyntaxFault):
+        return False
+    # A point at the end can also belong to a comment or to a character code, such as `0'.`.
+    if text.rstrip().endswith(".") and _last_token_kind(text) in _FINAL_TOKENS:
         return False
     return term.place is None or term.place.line > text.rstrip("\n").count("\n")
+
+
+_FINAL_TOKENS = (END, "bad")
+"""Kinds of tokens at the end of a text that no full stop makes valid."""
+
+
+def _last_token_kind(text: str) -> str:
+    """Return the kind of the last token of a text; "" if it has none."""
+    last_token = deque(tokenize(Source("user", text), ReadFlags), 1)
+    return last_token[0][0] if last_token else ""
 
 
 def _get_read_flags(logic: PrologSystem) -> ReadFlags:

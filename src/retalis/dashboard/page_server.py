@@ -3,6 +3,7 @@
 import asyncio
 import socket
 import threading
+from concurrent.futures import Future
 from errno import EADDRINUSE
 
 from ..foundation.errors import UsageError
@@ -57,8 +58,14 @@ class Dashboard:
         self._socket = _listen_on_free_port(port, port_count)
         self.port: int = self._socket.getsockname()[1]
         self._loop = asyncio.new_event_loop()
-        self._thread = threading.Thread(target=self._run, daemon=True, name="dashboard")
+        started: Future[None] = Future()
+        self._thread = threading.Thread(target=self._run, args=(started,), daemon=True, name="dashboard")
         self._thread.start()
+        try:
+            started.result()
+        except BaseException:
+            self.close()
+            raise
 
     @property
     def url(self) -> str:
@@ -75,13 +82,21 @@ class Dashboard:
                 pass
         self._thread.join(5)
 
-    def _run(self) -> None:
+    def _run(self, started: "Future[None]") -> None:
+        """Serve until `close`; ``started`` receives the end of the start, or its error."""
         # Everything that uses the loop is created in its own thread: asyncio objects are not thread-safe.
         asyncio.set_event_loop(self._loop)
-        snapshots = Snapshots(self._source)
-        live_updates = LiveUpdates(snapshots, self._period)
-        server = self._create_server(self._source, snapshots, live_updates)
-        server.add_socket(self._socket)
+        try:
+            snapshots = Snapshots(self._source)
+            live_updates = LiveUpdates(snapshots, self._period)
+            server = self._create_server(self._source, snapshots, live_updates)
+            server.add_socket(self._socket)
+        except BaseException as error:  # raised by the constructor
+            self._socket.close()
+            self._loop.close()
+            started.set_exception(error)
+            return
+        started.set_result(None)
         try:
             self._loop.run_forever()
         finally:
@@ -120,7 +135,7 @@ def _listen_on_free_port(port: int, port_count: int) -> socket.socket:
                 tried_ports = str(port) if candidate == port else f"{port} to {candidate}"
                 reason = getattr(error, "strerror", None) or error
                 raise UsageError(
-                    f"the dashboard cannot have port {tried_ports} of {ADDRESS}: {reason}"
+                    f"the dashboard cannot bind port {tried_ports} of {ADDRESS}: {reason}"
                 ) from None
     raise AssertionError("at least one port is tried")
 

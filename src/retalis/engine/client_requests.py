@@ -197,21 +197,25 @@ def wait_for_memories(engine: Engine, memory_ids: Sequence[Term], instant: int, 
             if not knowledge.pending_queries.is_waiting(request_number) and not all_reached.is_set():
                 raise UsageError("a memory was deleted, or time went back, while the query waited for it")
             if monotonic() >= deadline:
-                raise UsageError(f"{_describe_missing(engine, memory_ids, instant)} after {seconds:g} s")
+                missing = _describe_missing(engine, memory_ids, instant)
+                if not missing:
+                    # The last data arrived after the end of the waiting time.
+                    return
+                raise UsageError(f"no record at the stamp or later in memory {missing} after {seconds:g} s")
     finally:
         # Also after an interrupt: otherwise requests would accumulate in the index of the memory.
         engine.do(lambda: knowledge.pending_queries.withdraw(request_number))
 
 
 def _describe_missing(engine: Engine, memory_ids: Sequence[Term], instant: int) -> str:
-    """Return a description of the memories that have not reached a time, with the missing time."""
+    """Return the memories that have not reached a time, with the missing time; "" if all have reached it."""
     missing_memories = engine.do(lambda: engine.program.knowledge.find_missing_memories(memory_ids, instant))
     descriptions = []
     for instance, required_time in missing_memories:
         latest = instance.latest_end
         delay = "nothing yet" if latest is None else f"{(required_time - latest) / 1e9:g} s too early"
         descriptions.append(f"{engine.brief(instance.id)} ({delay})")
-    return f"no record at the stamp or later in memory {', '.join(descriptions)}"
+    return ", ".join(descriptions)
 
 
 _LABEL_PREFIX = "added_"

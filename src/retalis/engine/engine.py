@@ -1,6 +1,7 @@
 """The engine: composition of the components of a running program, and its public interface."""
 
 from contextlib import closing
+from itertools import islice
 from pathlib import Path
 from typing import (
     Callable,
@@ -11,6 +12,7 @@ from typing import (
     Optional,
     Protocol,
     Sequence,
+    Set,
     Tuple,
     Type,
     TypeVar,
@@ -27,6 +29,7 @@ from ..foundation.errors import RetalisError, UsageError, format_count
 from ..foundation.garbage_collection import count_records_of
 from ..foundation.ros_name_checks import strip_slashes
 from ..messages.transform_messages import TransformMessage
+from ..messages.type_definition import SerializationFormat
 from ..messages.type_registry import Definitions
 from ..prolog.syntax.operators import Operators
 from ..prolog.syntax.term_reader import read_term
@@ -48,9 +51,11 @@ from .engine_status import DEFAULT_LISTING_LIMIT, Status
 from .event_input import Subscribe
 from .hot_reload import NullReports, create_fixed_clock, create_trial_settings, reload_folder
 from .loaded_items import Deployment
-from .program_loader import ProgramLoader
+from .program_loader import ProgramLoader, resolve_path
+from .ros_parameters import ReadParameter
 from .runtime.problem_reports import Reports
 from .runtime.serial_executor import UNNAMED_REQUEST
+from .service_calls import CallService
 
 
 class OnOutput(Protocol):
@@ -167,8 +172,8 @@ class Engine:
         self._dispatch_message = parts.event_input.dispatch_message
         self._status_reader = parts.status_reader
         self._has_event_callbacks = False
-        # After an error in a file, checks of the whole program would report the absence of its rules.
-        self._is_program_complete = True
+        self._incomplete_folders: Set[str] = set()
+        """Real paths of folders whose last load had an error, for which checks would report missing rules."""
         self._foreign_sources: List[Tuple[object, ...]] = []
         """Arguments of the calls of `add_foreign`, which are repeated for a trial engine."""
         # The garbage collector counts the records as live heap, see `garbage_collection`.
@@ -220,9 +225,10 @@ class Engine:
             ProgramErrors: the goals that have a syntax error, fail or raise; the other goals have been called.
             UsageError: if the file cannot be read.
         """
-        self._is_program_complete = False
+        key = resolve_path(Path(folder))
+        self._incomplete_folders.add(key)
         self._parts.loader.load_folder(Path(folder))
-        self._is_program_complete = True
+        self._incomplete_folders.discard(key)
 
     def reload(self, folder: Union[str, Path]) -> List[str]:
         """Load a program's folder again in one transaction, and return a description of the changes, one per line.
@@ -243,8 +249,20 @@ class Engine:
             UsageError: if a file cannot be read, or if a goal or callback of this engine calls this method.
         """
         changes = reload_folder(self._parts.loader, self.executor, Path(folder), self._create_trial)
-        self._is_program_complete = True
+        self._incomplete_folders.discard(resolve_path(Path(folder)))
+        # The constants of these types have their values now.
+        self._parts.slots.pop_known()
         return changes
+
+    def pop_late_types(self) -> List[str]:
+        """Return the message types that were defined after the program was loaded, and whose constants it names.
+
+        These constants have no values until the program is loaded again, see `reload`. Each type is returned once.
+
+        >>> Engine().pop_late_types()
+        []
+        """
+        return self._parts.slots.pop_known()
 
     def _create_trial(self) -> ProgramLoader:
         """Return the loader of a second engine with the same settings, time and foreign predicates."""
@@ -255,6 +273,8 @@ class Engine:
             self._parts.slots.definitions,
         )
         trial_engine.input_topics.copy_for_trial(self.input_topics)
+        trial_engine.on_parameter_read(self._parts.ros_parameters.read)
+        trial_engine.on_service_call(lambda call: None)
         for sources in self._foreign_sources:
             trial_engine.add_foreign(*sources)
         return trial_engine._parts.loader  # noqa: SLF001 - the same class
@@ -287,9 +307,9 @@ class Engine:
             end: end time; by default ``start``.
 
         Raises:
-            UsageError: for an invalid timestamp, an end before the start, or an event that does not match its
-                declaration. Also if there is no start and the clock was never set: a default clock is not set before
-                the first event that has a time.
+            UsageError: for an invalid timestamp, an end before the start or without one, or an event that does not
+                match its declaration. Also if there is no start and the clock was never set: a default clock is not
+                set before the first event that has a time.
             SyntaxFault: if the text is not a term.
         """
         start_instant = None if start is None else timestamps.from_any(start)
@@ -297,19 +317,23 @@ class Engine:
         self._process(self._parse_term(term, EVENT_FLAGS), start_instant, end_instant)
 
     def event_at(self, term: Term, start: Optional[int], end: Optional[int]) -> None:
-        """Process an event with an interval in nanoseconds; see `event`.
+        """Process an event with an interval in nanoseconds, or at the clock's present time; see `event`.
 
         >>> Engine().event_at(atom("fire"), 1_500_000_000, 2_000_000_000)
         """
         start_instant = FloatSeconds(start) if start.__class__ is int else start
         # An event without duration has one object as start and end: matches and records of it take less memory.
-        if end is start:
+        if end is start or end is None:
             end_instant = start_instant
         else:
             end_instant = FloatSeconds(end) if end.__class__ is int else end
         self._process(term, start_instant, end_instant)
 
     def _process(self, term: Term, start: Optional[int], end: Optional[int]) -> None:
+        if start is None and end is not None:
+            raise UsageError(
+                f"event '{self.logic.brief(term)}': it has an end and no start: give both times, or neither"
+            )
         self.executor.call(lambda: self._check_and_dispatch(term, start, end), (term,))
 
     def post(self, term: Term, instant: Optional[int] = None) -> None:
@@ -396,10 +420,17 @@ class Engine:
         >>> Engine().query("member(X, [1, 2, 3])", most=2)
         [{'X': 1}, {'X': 2}]
 
+        Args:
+            goal: the goal, as a term or its text.
+            most: maximum number of solutions; by default all are returned. With 0 the goal is not called.
+
         Raises:
             SyntaxFault: if the text is not a term.
             PrologError: the error that the goal raised.
+            UsageError: if ``most`` is negative.
         """
+        if most is not None and most < 0:
+            raise UsageError(f"most: {most} is no number of solutions: expected 0 or more")
         if isinstance(goal, str):
             parsed_goal = read_term(goal, self.logic.operators, "query")
             term, names = parsed_goal.term, parsed_goal.names
@@ -428,6 +459,32 @@ class Engine:
         now
         """
         self.executor.post(work)
+
+    def change_settings(self, settings: Settings) -> None:
+        """Replace settings between two events: limits, ``watchdog``, and the initial values of flags.
+
+        A flag gets the new value only if its setting has changed.
+
+        >>> engine = Engine(settings=Settings(limits=Limits(seconds=10)))
+        >>> engine.change_settings(engine.settings._replace(limits=Limits(seconds=0.5)))
+        >>> engine.settings.limits.seconds
+        0.5
+
+        Args:
+            settings: the new settings.
+
+        Raises:
+            UsageError: if another setting differs, which is fixed when the engine is created; or if there are limits,
+                and the engine was created without limits and outside of `deferred_interrupts`: its rules do not count
+                their work.
+        """
+        self._parts.check_settings(settings)
+
+        def change() -> None:
+            self._parts.change_settings(settings)
+            self.settings = settings
+
+        self.do(change)
 
     # ---- callbacks and text --------------------------------------------------------------------------
 
@@ -474,6 +531,60 @@ class Engine:
         True
         """
         self.input_topics.set_subscriber(subscribe, topics, direct, resolve_name)
+
+    def on_service_call(
+        self, call: CallService, serialization_format: SerializationFormat = SerializationFormat.ROS1
+    ) -> None:
+        """Set the function that calls services for the goal ``ros_service/4``; without one, all calls fail.
+
+        The function must not wait. It ends the pending call later, from any thread, by its method ``reply`` or
+        ``fail``.
+
+        >>> engine = Engine(Clock())
+        >>> engine.on_service_call(lambda call: call.fail("the dock is occupied"))
+        >>> engine.on_event(lambda term, start, end: print(engine.show(term)))
+        >>> engine.call("ros_service('/dock', 'std_srvs/Trigger', std_srvs__0__Trigger_Request, a)")
+        service_call('/dock',a,std_srvs__0__Trigger_Request)
+        service_failed('/dock',a,'the dock is occupied')
+        True
+
+        Args:
+            call: called with each `ServiceCall`, in the engine's turn.
+            serialization_format: serialization of requests and responses.
+        """
+        self._parts.service_calls.set_caller(call, serialization_format)
+
+    def fail_interrupted_calls(self) -> None:
+        """Fail the calls of services that had no end when this engine's state was stored.
+
+        Their events are ``service_failed(Name, Id, Reason)``. Called once after a restoration, when the outputs of
+        rules can be published.
+
+        >>> engine = Engine(Clock())
+        >>> engine.on_service_call(lambda call: None)
+        >>> engine.call("ros_service('/dock', 'std_srvs/Trigger', std_srvs__0__Trigger_Request, a)")
+        True
+        >>> restored = Engine.restore(engine.snapshot(), Clock())
+        >>> restored.on_event(lambda term, start, end: print(restored.show(term)))
+        >>> restored.fail_interrupted_calls()
+        service_failed('/dock',a,'the program ended before the reply')
+        """
+        self._parts.service_calls.fail_interrupted()
+
+    def on_parameter_read(self, read: ReadParameter) -> None:
+        """Set the function that reads ROS parameters for the goal ``ros_param/2``.
+
+        >>> engine = Engine()
+        >>> engine.on_parameter_read({"/limit": 40.0, "/rooms": ["hall", "attic"]}.__getitem__)
+        >>> engine.query("ros_param('/limit', Limit)")
+        [{'Limit': 40.0}]
+        >>> engine.call("ros_param('/unknown', _)")
+        False
+
+        Args:
+            read: returns the value of a parameter; it raises `KeyError` if there is none, and must not wait.
+        """
+        self._parts.ros_parameters.set_reader(read)
 
     def with_requested_topics(self, topics: Topics = Topics()) -> Topics:  # noqa: B008 - immutable
         """Return topics of a program together with those that its goals have requested.
@@ -555,6 +666,7 @@ class Engine:
         definitions: Definitions,
         topics: Optional[Topics] = None,
         direct: Iterable[TopicType] = (),
+        find_refusal: Callable[[str], str] = lambda name: "",
     ) -> Iterator[RetalisError]:
         """Yield warnings about likely mistakes in the program.
 
@@ -568,13 +680,30 @@ class Engine:
             definitions: known message types.
             topics: topics of the program; by default none.
             direct: further topics whose messages become events.
+            find_refusal: returns the reason why goals may not call a service, or "".
         """
         topics = self.input_topics.merge_with(Topics() if topics is None else topics)
         program = ProgramModel(
-            self.rules, self.knowledge, definitions, topics, tuple(direct), folder, self._has_event_callbacks
+            self.rules,
+            self.knowledge,
+            definitions.with_strings(self.strings),
+            topics,
+            tuple(direct),
+            folder,
+            self._has_event_callbacks,
+            find_refusal=find_refusal,
         )
-        findings = run_checks(program, self._is_program_complete)
+        findings = run_checks(program, not self._incomplete_folders)
         return (finding.problem for finding in findings if finding.severity != INFO)
+
+    @property
+    def strings(self) -> str:
+        """Form of strings in messages: ``"quoted"`` or ``"plain"``; see `Settings`.
+
+        >>> Engine().strings
+        'quoted'
+        """
+        return self._parts.slots.strings
 
     def status(self, most: int = DEFAULT_LISTING_LIMIT) -> Status:
         """Return the activity and contents of the engine, without waiting for it.
@@ -659,7 +788,7 @@ class Engine:
                 self._call_or_raise((DELETE_MEMORY, name))
             return existed
 
-        return self.executor.call(lambda: self.dispatcher.run_restoring_context(delete), (UNNAMED_REQUEST,))
+        return self.do(delete)
 
     def has_subscription(self, topic: Term, name: Term) -> bool:
         """Return whether a subscription with a topic and an id exists.
@@ -700,12 +829,7 @@ class Engine:
         >>> Engine().delete_subscription(atom("alarms"), atom("a"))
         False
         """
-        return self.executor.call(
-            lambda: self.dispatcher.run_restoring_context(
-                lambda: self.knowledge.subscriptions.delete(topic, name)
-            ),
-            (UNNAMED_REQUEST,),
-        )
+        return self.do(lambda: self.knowledge.subscriptions.delete(topic, name))
 
     # ---- state ----
 
@@ -731,9 +855,7 @@ class Engine:
             engine_snapshot = self.incremental_snapshot()
             return encode_state(engine_snapshot.capture(), engine_snapshot.encode_records())
 
-        return pack_sections(
-            self.executor.call(lambda: self.dispatcher.run_restoring_context(encode), (UNNAMED_REQUEST,))
-        )
+        return pack_sections(self.do(encode))
 
     def incremental_snapshot(self) -> EngineSnapshot:
         """Return a reader of the state for consecutive snapshots, which omit a program that has not changed.
@@ -839,14 +961,13 @@ class Engine:
         """Return the first ``most`` solutions of a goal as copies, or all."""
         results: List[Dict[str, Term]] = []
         with closing(self.logic.solutions(term)) as solutions:
-            for _ in solutions:
+            # `islice` asks for no solution beyond the last one that is wanted.
+            for _ in islice(solutions, most):
                 # Values are copied before the next solution undoes their bindings. The dictionary keeps a variable
                 # that occurs in two values one variable. The copies count against the memory limit of the goal.
                 shared: Dict[Var, Term] = {}
                 with self.logic.machine.budget.checking_long_steps():
                     results.append({name: copy(value, shared) for name, value in names.items()})
-                if most is not None and len(results) >= most:
-                    break
         return results
 
     def _call_or_raise(self, goal: Term) -> None:

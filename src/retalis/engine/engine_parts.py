@@ -2,7 +2,7 @@
 
 import os
 from functools import partial
-from typing import Any, Callable, Dict, List, Optional
+from typing import Callable, List, Optional
 
 from ..events.clock.clock import Clock
 from ..events.dispatch.dispatcher import Dispatcher
@@ -11,26 +11,29 @@ from ..events.language.rule_labels import WATERMARK_DELAY
 from ..events.program.event_file_loader import EventFileLoader
 from ..events.program.event_language_predicates import define_predicates
 from ..events.rules.event_input_predicates import define_new_event
-from ..events.rules.language_flags import MAX_WATERMARK_DELAY, Flags
+from ..events.rules.language_flags import FLAGS, MAX_WATERMARK_DELAY, Flags
 from ..events.rules.rule_base import RuleBase
+from ..foundation.errors import UsageError
 from ..messages.message_slots import SlotNames
 from ..messages.type_registry import Definitions
 from ..prolog.files.source_files import SourceFiles
-from ..prolog.machine.resource_limits import MEGABYTE, Budget
+from ..prolog.machine.resource_limits import MEGABYTE, NO_LIMITS, Budget
 from ..prolog.swi.use_swi import define_use_swi
 from ..prolog.syntax.operators import Operators
 from ..prolog.system.foreign_functions import define_use_foreign
 from ..prolog.system.prolog_system import PrologSystem
 from ..prolog.terms.types import Term
-from .engine_settings import Settings
+from .engine_settings import CHANGEABLE_SETTINGS, Settings
 from .engine_snapshot import EngineSnapshot, ForeignSources, RunState
 from .engine_status import StatusReader
 from .event_input import EventInput, InputTopics, TextInput
 from .loaded_items import LoadedProgram
 from .program_loader import ProgramLoader
+from .ros_parameters import RosParameters
 from .runtime.problem_reports import Reports
 from .runtime.serial_executor import EngineRecovery, SerialExecutor
-from .runtime.watchdog import start_watchdog
+from .runtime.watchdog import report_exceeded_limits, start_watchdog
+from .service_calls import ServiceCalls
 
 
 class UserCallbacks:
@@ -124,7 +127,7 @@ class EngineParts:
         )
         files = SourceFiles()
         files.sandbox.allow(settings.folders, settings.write_folders, settings.max_file_megabytes * MEGABYTE)
-        self.slots = slots = SlotNames(definitions)
+        self.slots = slots = SlotNames(definitions, settings.strings)
         self.logic = logic = PrologSystem(
             Operators.prolog(slots),
             limits=settings.limits,
@@ -134,10 +137,11 @@ class EngineParts:
             # Python modules can read the environment anyway, so goals may read it, too.
             environment=os.environ if settings.allow_foreign else None,
             allow_flags=settings.allow_flags,
+            counts_uses=settings.counts_uses,
         )
         self.callbacks = callbacks = UserCallbacks(executor, logic.machine.budget, reports)
         self.dispatcher = dispatcher = Dispatcher(logic, max_depth=settings.max_depth)
-        executor.add_recovery(EngineRecovery(logic, dispatcher))
+        executor.set_recovery(EngineRecovery(logic, dispatcher))
         self.rules = rules = RuleBase(
             logic,
             dispatcher,
@@ -160,7 +164,8 @@ class EngineParts:
             buffer=settings.transform_buffer(settings.tf_cache),
         )
         rules.flags.on_numeric_change("max_gap", knowledge.gaps.set_limit)
-        _set_default_flags(rules.flags, settings)
+        _set_default_flags(rules.flags, settings, Settings())
+        report_exceeded_limits(logic.machine.budget, reports)
         self.watchdog = start_watchdog(executor, logic, dispatcher, reports, settings.watchdog)
         self.goals = goals = GoalCalls(logic, dispatcher)
         self.event_input = event_input = EventInput(
@@ -174,6 +179,15 @@ class EngineParts:
             rules.declared_events,
         )
         self.input_topics = InputTopics(logic, slots, reports)
+        self.ros_parameters = RosParameters(logic, slots, reports)
+        self.service_calls = ServiceCalls(
+            logic,
+            slots,
+            executor,
+            lambda event: event_input.dispatch_event(event, None, None),
+            callbacks.call,
+            reports,
+        )
         self.program = program = LoadedProgram(logic, rules, knowledge, file_loader)
         self.loader = ProgramLoader(
             program,
@@ -181,13 +195,20 @@ class EngineParts:
             dispatcher,
             settings.limit_start,
             goals.call_once,
-            self.input_topics.declare_event_types,
+            self.input_topics.declare_topics,
+            slots.awaiting,
         )
         self.status_reader = StatusReader(
-            program, executor, event_input, reports, self.watchdog, settings.queue
+            program, executor, event_input, self.service_calls, reports, self.watchdog, settings.queue
         )
         self._run_state = RunState(
-            clock, rules.network.watermarks, event_input, dispatcher, executor, knowledge.subscriptions
+            clock,
+            rules.network.watermarks,
+            event_input,
+            dispatcher,
+            executor,
+            knowledge.subscriptions,
+            self.service_calls,
         )
         self._foreign_sources = ForeignSources(
             logic, files, executor, settings.allow_foreign, settings.allow_swi, reports.warning
@@ -195,6 +216,21 @@ class EngineParts:
         define_new_event(logic, dispatcher)
         define_use_foreign(logic, executor, files, settings.allow_foreign)
         define_use_swi(logic, files, settings.allow_swi, reports.warning)
+
+    def check_settings(self, settings: Settings) -> None:
+        """Raise a `UsageError` if settings differ that are fixed; see `Engine.change_settings`."""
+        for name in Settings._fields:
+            if name not in CHANGEABLE_SETTINGS and getattr(settings, name) != getattr(self.settings, name):
+                raise UsageError(f"change_settings: {name} is fixed: pass it to the constructor of Engine")
+        if settings.limits[:3] != NO_LIMITS[:3] and not self.logic.machine.budget.meters_patterns:
+            raise UsageError("change_settings: the engine was created without limits: create it with limits")
+
+    def change_settings(self, settings: Settings) -> None:
+        """Replace the settings that `Engine.change_settings` names; called in the engine's turn."""
+        before, self.settings = self.settings, settings
+        self.logic.limits = settings.limits
+        self.watchdog.set_warning_time(settings.watchdog)
+        _set_default_flags(self.rules.flags, settings, before)
 
     def create_snapshot(self) -> EngineSnapshot:
         """Return a reader and restorer of the state."""
@@ -208,16 +244,12 @@ class EngineParts:
         )
 
 
-def _set_default_flags(flags: Flags, settings: Settings) -> None:
-    """Set the defaults of the flags that have settings."""
-    defaults: Dict[str, Any] = {
-        "max_gap": settings.max_gap,
-        WATERMARK_DELAY: settings.watermark_delay,
-        MAX_WATERMARK_DELAY: settings.max_watermark_delay,
-    }
-    for name, value in defaults.items():
-        if value is not None:
-            flags.set_default(name, value)
+def _set_default_flags(flags: Flags, settings: Settings, before: Settings) -> None:
+    """Set the defaults of the flags whose settings have changed."""
+    for name in ("max_gap", WATERMARK_DELAY, MAX_WATERMARK_DELAY):
+        value = getattr(settings, name)
+        if value != getattr(before, name):
+            flags.set_default(name, FLAGS[name].default if value is None else value)
 
 
 def _report_drop(reports: Reports, dropped: int) -> None:

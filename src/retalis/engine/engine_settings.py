@@ -3,6 +3,7 @@
 from typing import Callable, NamedTuple, Optional, Tuple
 
 from ..events.knowledge.transform_buffer import DEFAULT_CACHE_SECONDS, TransformBuffer
+from ..messages.type_definition import QUOTED_STRINGS
 from ..prolog.machine.resource_limits import Limits
 
 
@@ -38,6 +39,10 @@ class Settings(NamedTuple):
         max_watermark_delay: initial value of flag ``max_watermark_delay``: upper bound of ``auto`` in seconds.
         max_file_megabytes: maximum size of a file that a program reads or writes.
         tf_cache: history of transforms in seconds.
+        counts_uses: whether rules count the outcomes of their conditions and the matches of their branches, and
+            clauses their calls, for the coverage of a program by tests. Clauses are then interpreted: slower.
+        strings: form of strings in messages of programs without ``pub_sub.xml``: ``"quoted"``, atoms with double
+            quotes inside, or ``"plain"``, atoms without them.
         transform_buffer: creates the buffer of transforms, given ``tf_cache``. Nodes use tf2.
     """
 
@@ -58,4 +63,10 @@ class Settings(NamedTuple):
     max_watermark_delay: float = 1
     allow_flags: bool = False
     tf_cache: float = DEFAULT_CACHE_SECONDS
+    counts_uses: bool = False
+    strings: str = QUOTED_STRINGS
     transform_buffer: Callable[[float], TransformBuffer] = TransformBuffer
+
+
+CHANGEABLE_SETTINGS = ("limits", "watchdog", "max_gap", "watermark_delay", "max_watermark_delay")
+"""Settings that `Engine.change_settings` may change."""

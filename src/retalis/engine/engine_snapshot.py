@@ -24,6 +24,7 @@ from ..events.matches.watermarks import Watermarks
 from ..events.network.event_rule import EventRule
 from ..foundation.errors import RetalisError, UsageError
 from ..messages.message_slots import SlotNames
+from ..messages.type_definition import STRING_FORMS
 from ..prolog.files.source_files import SourceFiles
 from ..prolog.swi.use_swi import SwiFile, use_swi
 from ..prolog.system.foreign_functions import define_foreign, load_module
@@ -53,6 +54,7 @@ from ..serialization.field_types import (
     Value,
     invalid_value,
     mapping_of,
+    one_of,
     sequence_of,
     with_path,
 )
@@ -85,6 +87,7 @@ from .rule_network_snapshot import (
     stored_rules,
 )
 from .runtime.serial_executor import SerialExecutor
+from .service_calls import ServiceCalls
 
 Sections = Dict[str, Any]
 """Sections of a state by name, as data that `to_bytes` accepts."""
@@ -124,6 +127,8 @@ class StoredProgram(NamedTuple):
         deployments: the deployments by folder.
         topics: topics that goals have subscribed to.
         event_types: message types of events, by name.
+        strings: form of strings in messages.
+        awaited_types: message types whose constants the program names before their definitions are known.
         foreign_modules: names of modules with foreign predicates.
         swi_files: files that SWI-Prolog has loaded.
     """
@@ -135,6 +140,8 @@ class StoredProgram(NamedTuple):
     deployments: Dict[str, StoredDeployment]
     topics: List[TopicRequest]
     event_types: Dict[str, str]
+    strings: str
+    awaited_types: List[str]
     foreign_modules: List[str]
     swi_files: List[SwiFile]
 
@@ -157,6 +164,8 @@ _STORED_PROGRAM = record_of(
         event=TEXT,
     ),
     event_types=mapping_of(TEXT, TEXT),
+    strings=one_of(*STRING_FORMS),
+    awaited_types=sequence_of(TEXT),
     foreign_modules=sequence_of(PATH),
     swi_files=rows_of(
         SwiFile,
@@ -177,6 +186,7 @@ class RunState(StateOwner):
         dispatcher: numbers the events.
         executor: counts the dropped requests.
         subscriptions: count their outputs.
+        service_calls: calls of services.
     """
 
     STATE = StateFields(
@@ -188,6 +198,7 @@ class RunState(StateOwner):
         part("dispatcher"),
         part("executor"),
         part("subscriptions"),
+        part("service_calls"),
     )
 
     def __init__(
@@ -198,6 +209,7 @@ class RunState(StateOwner):
         dispatcher: Dispatcher,
         executor: SerialExecutor,
         subscriptions: Subscriptions,
+        service_calls: ServiceCalls,
     ):
         self.clock = clock
         self.watermarks = watermarks
@@ -205,6 +217,7 @@ class RunState(StateOwner):
         self.dispatcher = dispatcher
         self.executor = executor
         self.subscriptions = subscriptions
+        self.service_calls = service_calls
 
     @property
     def clock_follows_events(self) -> bool:
@@ -249,14 +262,13 @@ class ForeignSources:
         for name in modules:
             # The state is data from outside: it must not make the engine execute a module that the settings or the
             # location would not allow.
-            path = Path(name)
             if not self._allow_foreign:
                 raise UsageError(
                     f"the program has loaded Python from {name}: the setting allow_foreign is off"
                 )
-            if folder is None or (path.is_absolute() and folder.resolve() not in path.resolve().parents):
+            if folder is None or not _is_inside(folder / name, folder):
                 raise UsageError(
-                    f"the program has loaded Python from {name}, which is not in a folder of its own"
+                    f"the program has loaded Python from {name}, which is outside of the program's folder"
                 )
             files = self._files
             with files.loading(folder):
@@ -268,14 +280,22 @@ class ForeignSources:
         for file in files:
             if not self._allow_swi:
                 raise UsageError(f"the program has SWI-Prolog load {file.name}: the setting allow_swi is off")
-            if file.is_path and (folder is None or folder.resolve() not in Path(file.name).resolve().parents):
+            if file.is_path and (folder is None or not _is_inside(Path(file.name), folder)):
                 raise UsageError(
-                    f"the program has SWI-Prolog load {file.name}, which is not in a folder of its own"
+                    f"the program has SWI-Prolog load {file.name}, which is outside of the program's folder"
                 )
             with self._files.loading(folder):
                 use_swi(self._logic, file, self._warn)
             text = f"SWI-Prolog has loaded {file.name} again: facts that its clauses had asserted are not restored"
             self._warn(text, ("swi", file.name))
+
+
+def _is_inside(path: Path, folder: Path) -> bool:
+    """Return whether a path leads to a file in a folder; links in the folder may lead out of it."""
+    # An installed program may consist of links to its sources. After a link, `..` names another folder than the path.
+    if ".." not in path.parts and folder.absolute() in path.absolute().parents:
+        return True
+    return folder.resolve() in path.resolve().parents
 
 
 class EngineSnapshot:
@@ -357,6 +377,8 @@ class EngineSnapshot:
             list(knowledge.states),
             self._input_topics.snapshot(),
             dict(self._slots.events),
+            self._slots.strings,
+            sorted(self._slots.awaited),
             set(rules.files.loaded),
             rules.files.sandbox.program_folders,
             list(logic.foreign_modules),
@@ -376,6 +398,8 @@ class EngineSnapshot:
             deployments=save_deployments(self._deployments, logic, knowledge, numbered_rules),
             topics=self._input_topics.snapshot(),
             event_types=dict(self._slots.events),
+            strings=self._slots.strings,
+            awaited_types=sorted(self._slots.awaited),
             foreign_modules=list(logic.foreign_modules),
             swi_files=[SwiFile(*file) for file in logic.swi_files.values()],
         )
@@ -411,6 +435,8 @@ class EngineSnapshot:
         # rules, and rules and memories to restore partial matches and records. The deployments follow, because they
         # refer to all items by position.
         self._slots.events.update(program.event_types)
+        self._slots.fix_strings(program.strings)
+        self._slots.awaited.update(program.awaited_types)
         self._foreign_sources.load_modules(program.foreign_modules, folder)
         self._foreign_sources.load_swi_files(program.swi_files, folder)
         restore_program(logic, clauses)

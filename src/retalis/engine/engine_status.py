@@ -21,6 +21,7 @@ from .loaded_items import LoadedProgram
 from .runtime.problem_reports import Reports
 from .runtime.serial_executor import SerialExecutor
 from .runtime.watchdog import Watchdog, describe_work
+from .service_calls import ServiceCalls
 
 DEFAULT_LISTING_LIMIT = 100
 """Default limit for the listed rules, memories, subscriptions and queries."""
@@ -59,8 +60,8 @@ class RuleStatus(NamedTuple):
     >>> engine.load(rules="hot : alarm(X) <- smoke(X) where X > 1.", source="mine")
     >>> engine.event("smoke(2)", 5)
     >>> rule = engine.status().rules[0]
-    >>> rule.label, rule.text, rule.place
-    ('hot', 'alarm(X)<-smoke(X)where X>1', 'mine:1:1')
+    >>> rule.name, rule.label, rule.text, rule.place
+    ('hot', 'hot', 'alarm(X)<-smoke(X)where X>1', 'mine:1:1')
     >>> rule.fired, rule.last_fired
     (1, 5000000000)
 
@@ -79,6 +80,7 @@ class RuleStatus(NamedTuple):
         late: number of events that arrived too late for its windows and other stream operators.
         ahead: number of times that an event was too far ahead of the clock to advance the time of the rule or of one
             of its operators.
+        name: its label, or else its event or goal, shortened.
     """
 
     label: str
@@ -94,6 +96,7 @@ class RuleStatus(NamedTuple):
     delay: int = 0
     late: int = 0
     ahead: int = 0
+    name: str = ""
 
 
 class MemoryStatus(NamedTuple):
@@ -217,6 +220,29 @@ class TransformStatus(NamedTuple):
     refused: int
 
 
+class ServiceStatus(NamedTuple):
+    """The calls of services by goals; see `Status`.
+
+    >>> engine = Engine(Clock())
+    >>> engine.on_service_call(lambda call: None)
+    >>> engine.call("ros_service('/dock', 'std_srvs/Trigger', std_srvs__0__Trigger_Request, a)")
+    True
+    >>> engine.status().services
+    ServiceStatus(calls=1, under_way=1, failed=0, refused=0)
+
+    Attributes:
+        calls: number of calls.
+        under_way: number of calls that wait for a reply.
+        failed: number of calls without a reply, including those that were refused.
+        refused: number of calls that were refused because too many were under way.
+    """
+
+    calls: int
+    under_way: int
+    failed: int
+    refused: int
+
+
 class LagStatus(NamedTuple):
     """The lag of the messages of a topic, if alarms of the program wait for it; see `Status`.
 
@@ -290,6 +316,7 @@ class Status(NamedTuple):
         lags: lags of topics that alarms of the program wait for, by name.
         ahead: number of events whose timestamps were too far ahead of a clock that follows events: it did not move,
             or has returned.
+        services: calls of services; None if there was none.
     """
 
     now: int
@@ -313,6 +340,7 @@ class Status(NamedTuple):
     transforms: Optional[TransformStatus] = None
     lags: Tuple[LagStatus, ...] = ()
     ahead: int = 0
+    services: Optional[ServiceStatus] = None
 
     def json(self) -> Dict[str, Any]:
         """Return the status as dictionaries and lists, for ``json.dumps``.
@@ -351,6 +379,7 @@ class StatusReader:
         program: the program of the engine.
         executor: executor of the engine, with its queue.
         event_input: counts the events.
+        service_calls: counts the calls of services.
         reports: counts errors and warnings.
         watchdog: knows since when the present work runs.
         max_queued: maximum length of the queue.
@@ -361,6 +390,7 @@ class StatusReader:
         program: LoadedProgram,
         executor: SerialExecutor,
         event_input: EventInput,
+        service_calls: ServiceCalls,
         reports: Reports,
         watchdog: Watchdog,
         max_queued: int,
@@ -368,6 +398,7 @@ class StatusReader:
         self._program = program
         self._executor = executor
         self._event_input = event_input
+        self._service_calls = service_calls
         self._reports = reports
         self._watchdog = watchdog
         self._max_queued = max_queued
@@ -418,6 +449,7 @@ class StatusReader:
                 ]
             ),
             ahead=self._event_input.far_ahead_count,
+            services=_read_services(self._service_calls),
         )
 
     def count_records(self) -> int:
@@ -502,6 +534,7 @@ def _list_rules(
             rule.watermark_delay,
             rule.late_count,
             rule.ahead_count,
+            rule.name,
         )
 
     return tuple([read_status(rule) for rule in listed]), len(rules.rules) - len(listed)
@@ -581,6 +614,12 @@ def _read_transforms(transforms: Transforms) -> Optional[TransformStatus]:
     if not transforms.is_required:
         return None
     return TransformStatus(len(buffer), buffer.sample_count, buffer.refused)
+
+
+def _read_services(calls: ServiceCalls) -> Optional[ServiceStatus]:
+    if not calls.count:
+        return None
+    return ServiceStatus(calls.count, calls.under_way_count, calls.failed_count, calls.refused_count)
 
 
 def _read_awaited(

@@ -100,6 +100,9 @@ class EventInput(StateOwner):
         Raises:
             UsageError: if the event ends before it starts, or has no complete interval and the clock is not set.
         """
+        # Checked first: an event that is refused has no lag.
+        if start is not None and end is not None and end < start:
+            raise UsageError(f"{self._logic.brief(term)} ends before it starts")
         watermarks = self._watermarks
         # Before alarms run: the lag of this event delays those that it precedes by its stamp.
         if watermarks.is_observing and self.stream_clock is None:
@@ -110,8 +113,6 @@ class EventInput(StateOwner):
             if start is None:
                 start = self._run_alarms_and_make_stamp(term)
             end = start
-        elif end < start:
-            raise UsageError(f"{self._logic.brief(term)} ends before it starts")
         else:
             stream_clock = self.stream_clock
             is_quiet = self._clock.is_quiet() if stream_clock is None else stream_clock.follow(end)
@@ -377,15 +378,23 @@ class InputTopics:
         """Return the message types by the event names that goals have given."""
         return {request.event: request.message_type for request in reversed(self._requests) if request.event}
 
-    def declare_event_types(self, folder_types: Dict[str, str]) -> None:
-        """Set the message types by event names: those of a folder, and those that goals have given."""
+    def declare_topics(self, topics: Optional[Topics]) -> None:
+        """Set the form of strings of a folder, and the types of event names: its own, and those of goals.
+
+        Args:
+            topics: the topics of the folder; None if it has no valid ``pub_sub.xml``.
+
+        Raises:
+            UsageError: if the program that is loaded has another form of strings.
+        """
+        if topics is not None:
+            self._slots.fix_strings(topics.strings)
+        folder_types = {} if topics is None else topics.event_types()
         self._slots.set_events({**self.event_types(), **folder_types})
 
     def _subscribe_to(self, machine: Machine, topic: Term, message_type: Term, *event: Term) -> bool:
         """Execute the goal ``subscribe_to(Topic, MessageType)``, or ``subscribe_to/3`` with a name for the events."""
-        request = TopicRequest(
-            _get_text(topic), ros1_type_name(_get_text(message_type)), *map(_get_text, event)
-        )
+        request = TopicRequest(get_text(topic), ros1_type_name(get_text(message_type)), *map(get_text, event))
         self._check_argument("topic", topic, topic_fault(request.topic))
         self._check_argument("message_type", message_type, type_fault(request.message_type))
         if event:
@@ -423,11 +432,11 @@ class InputTopics:
         name = request.event or f"messages of {request.message_type}"
         self._reports.warning(
             f"subscribe_to: topic {request.topic} is not subscribed: there are no topics here, as there are in a "
-            f"node and with retalis bag; {name} come only as events that are given"
+            f"node and with retalis bag; {name} are received only as posted events"
         )
 
 
-def _get_text(term: Term) -> str:
+def get_text(term: Term) -> str:
     """Return the text of an argument."""
     value: Any = deref(term)
     if value.__class__ is Var:

@@ -25,7 +25,6 @@ from ..events.network.event_rule import EventRule
 from ..events.rules.timer_service import ProgramTimer
 from ..foundation.errors import (
     Errors,
-    Place,
     ProgramErrors,
     RuleError,
     UsageError,
@@ -91,8 +90,10 @@ def _describe_rules(
     old: Sequence[EventRule], new: Sequence[EventRule], unchanged: Dict[EventRule, EventRule]
 ) -> List[str]:
     unchanged_rules = set(unchanged.values())
-    removed = [f"{rule.name}{_format_lost_matches(rule)}" for rule in old if rule not in unchanged_rules]
-    added = [f"{rule.name}{_format_position(rule.place)}" for rule in new if rule not in unchanged]
+    removed = [
+        f"rule {rule.title}{_format_lost_matches(rule)}" for rule in old if rule not in unchanged_rules
+    ]
+    added = [f"rule {rule.title}" for rule in new if rule not in unchanged]
     match_count = sum(rule.match_count for rule in unchanged_rules)
     with_matches = f", with {_format_match_count(match_count)}" if match_count else ""
     return _format_section("rules", added, removed, [], f"{len(unchanged_rules)} kept{with_matches}")
@@ -104,10 +105,6 @@ def _format_lost_matches(rule: EventRule) -> str:
 
 def _format_match_count(number: int) -> str:
     return format_count(number, "partial match", "partial matches")
-
-
-def _format_position(place: object) -> str:
-    return f" ({place.source}:{place.line})" if isinstance(place, Place) else ""
 
 
 def _describe_memories(logic: PrologSystem, old: Deployment, new: Deployment) -> List[str]:

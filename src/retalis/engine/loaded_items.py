@@ -97,17 +97,17 @@ class Deployment(NamedTuple):
             for key, items in self.properties.items()
         }
         return Deployment(
-            [rule for rule in self.rules if rule not in previous_rules],
-            {predicate: clause_list for predicate, clause_list in clauses.items() if clause_list},
-            _select_new(self.memories, before.memories),
-            _select_new(self.subscriptions, before.subscriptions),
-            {key: items for key, items in properties.items() if items},
-            {name: value for name, value in self.flags.items() if value != before.flags[name]},
-            self.dynamic - before.dynamic,
-            self.replaced - before.replaced,
-            self.files - before.files,
-            _select_new(self.timers, before.timers),
-            _select_new(self.states, before.states),
+            rules=[rule for rule in self.rules if rule not in previous_rules],
+            clauses={predicate: clause_list for predicate, clause_list in clauses.items() if clause_list},
+            memories=_select_new(self.memories, before.memories),
+            subscriptions=_select_new(self.subscriptions, before.subscriptions),
+            properties={key: items for key, items in properties.items() if items},
+            flags={name: value for name, value in self.flags.items() if value != before.flags[name]},
+            dynamic=self.dynamic - before.dynamic,
+            replaced=self.replaced - before.replaced,
+            files=self.files - before.files,
+            timers=_select_new(self.timers, before.timers),
+            states=_select_new(self.states, before.states),
         )
 
     def union(self, later: "Deployment") -> "Deployment":
@@ -118,21 +118,33 @@ class Deployment(NamedTuple):
         }
         properties = {key: [*self.properties.get(key, ()), *items] for key, items in later.properties.items()}
         return Deployment(
-            [*self.rules, *later.rules],
-            {**self.clauses, **clauses},
-            {**self.memories, **later.memories},
-            {**self.subscriptions, **later.subscriptions},
-            {**self.properties, **properties},
-            {**self.flags, **later.flags},
-            self.dynamic | later.dynamic,
-            self.replaced | later.replaced,
-            self.files | later.files,
-            {**self.timers, **later.timers},
-            {**self.states, **later.states},
+            rules=[*self.rules, *later.rules],
+            clauses={**self.clauses, **clauses},
+            memories={**self.memories, **later.memories},
+            subscriptions={**self.subscriptions, **later.subscriptions},
+            properties={**self.properties, **properties},
+            flags={**self.flags, **later.flags},
+            dynamic=self.dynamic | later.dynamic,
+            replaced=self.replaced | later.replaced,
+            files=self.files | later.files,
+            timers={**self.timers, **later.timers},
+            states={**self.states, **later.states},
         )
 
 
-EMPTY_DEPLOYMENT = Deployment([], {}, {}, {}, {}, {}, set(), set(), set(), {}, {})
+EMPTY_DEPLOYMENT = Deployment(
+    rules=[],
+    clauses={},
+    memories={},
+    subscriptions={},
+    properties={},
+    flags={},
+    dynamic=set(),
+    replaced=set(),
+    files=set(),
+    timers={},
+    states={},
+)
 
 
 def current_deployment(program: LoadedProgram) -> Deployment:
@@ -146,17 +158,19 @@ def current_deployment(program: LoadedProgram) -> Deployment:
         if predicate.kind == "user" and not predicate.is_library_predicate
     ]
     return Deployment(
-        rules.rules,
-        {predicate: list(predicate.active_clauses()) for predicate in own_predicates},
-        dict(knowledge.memories.instances),
-        dict(knowledge.subscriptions.items()),
-        rules.all_properties(),
-        {name: rules.flags.get(name) for name in rules.flags.names()},
-        {predicate for predicate in predicates if predicate.dynamic and not predicate.is_library_predicate},
-        set(database.library.shadowed_predicates),
-        set(rules.files.loaded),
-        rules.timers.all_by_key(),
-        knowledge.states.all_by_key(),
+        rules=rules.rules,
+        clauses={predicate: list(predicate.active_clauses()) for predicate in own_predicates},
+        memories=dict(knowledge.memories.instances),
+        subscriptions=dict(knowledge.subscriptions.items()),
+        properties=rules.all_properties(),
+        flags={name: rules.flags.get(name) for name in rules.flags.names()},
+        dynamic={
+            predicate for predicate in predicates if predicate.dynamic and not predicate.is_library_predicate
+        },
+        replaced=set(database.library.shadowed_predicates),
+        files=set(rules.files.loaded),
+        timers=rules.timers.all_by_key(),
+        states=knowledge.states.all_by_key(),
     )
 
 
@@ -330,24 +344,25 @@ def restore_deployments(
         properties: Dict[Hashable, List[Property]] = {}
         for item in saved.properties:
             properties.setdefault(term_key(item.label), []).append(item)
+        folder_timers = [timers.find(*key) for key in saved.timers]
         deployments[folder] = Deployment(
-            [numbered_rules[position] for position in saved.rules],
-            _restore_clauses(logic, saved),
-            dict(memories[position] for position in saved.memories),
-            dict(subscriptions[position] for position in saved.subscriptions),
-            properties,
-            saved.flags,
-            {_find_predicate(logic, functor) for functor in saved.dynamic},
-            set(saved.replaced),
-            set(map(Path, saved.files)),
-            {timer.key: timer for timer in (timers.find(*key) for key in saved.timers) if timer is not None},
-            dict(states[position] for position in saved.states),
+            rules=[numbered_rules[position] for position in saved.rules],
+            clauses=_restore_clauses(logic, saved),
+            memories=dict(memories[position] for position in saved.memories),
+            subscriptions=dict(subscriptions[position] for position in saved.subscriptions),
+            properties=properties,
+            flags=saved.flags,
+            dynamic={_find_predicate(logic, key) for key in saved.dynamic},
+            replaced=set(saved.replaced),
+            files=set(map(Path, saved.files)),
+            timers={timer.key: timer for timer in folder_timers if timer is not None},
+            states=dict(states[position] for position in saved.states),
         )
     return deployments
 
 
-def _find_predicate(logic: PrologSystem, functor: Functor) -> Predicate:
-    predicate = logic.database.predicate(functor)
+def _find_predicate(logic: PrologSystem, key: Functor) -> Predicate:
+    predicate = logic.database.predicate(key)
     return predicate.hidden_predicate or predicate
 
 

@@ -17,6 +17,7 @@ from ..events.checks.event_flow_checks import EventProducers, explain_missing_pr
 from ..events.checks.message_checks import find_output_fault
 from ..events.checks.program_model import FunctorSuggestions, ProgramModel, RecordedTopic
 from ..events.clock.clock import Clock
+from ..events.language.called_predicates import PredicateCall, is_defined
 from ..events.program.topic_configuration import (
     AUTO,
     TOPICS,
@@ -38,9 +39,11 @@ from ..foundation.errors import (
 )
 from ..foundation.ros_name_checks import strip_slashes
 from ..messages.type_registry import Definitions
+from ..prolog.system.prolog_system import PrologSystem
 from ..prolog.terms.types import CompoundTerm, Functor, Term
 from .engine import Engine
 from .engine_settings import Settings
+from .ros_parameters import no_parameters
 from .runtime.problem_reports import Reports
 
 
@@ -78,6 +81,18 @@ class FindingCollector(Reports):
         """
         dropped = (() if is_loaded else (UndefinedPredicate,)) + (() if has_topics else (UnknownMessage,))
         self.findings = [finding for finding in self.findings if not isinstance(finding.problem, dropped)]
+
+    def drop_defined(self, logic: PrologSystem) -> None:
+        """Drop findings about predicates that a later file has defined."""
+
+        def is_outdated(problem: RetalisError) -> bool:
+            return (
+                isinstance(problem, UndefinedPredicate)
+                and isinstance(problem.call, PredicateCall)
+                and is_defined(logic, problem.call)
+            )
+
+        self.findings = [finding for finding in self.findings if not is_outdated(finding.problem)]
 
     def add_errors(self, error: RetalisError) -> None:
         """Collect all errors of a program."""
@@ -118,15 +133,18 @@ def check_program(
     direct_types = direct_topics(direct, topics, strip_slashes)
     # Requested topics are recorded by the engine, which subscribes to none of them.
     engine.on_topic_request(lambda topic: None, topics, direct_types)
+    engine.on_service_call(lambda call: None)
+    engine.on_parameter_read(no_parameters)
     try:
         engine.load_program(folder)
     except RetalisError as error:
         collector.add_errors(error)
+    collector.drop_defined(engine.program.logic)
     topics = engine.with_requested_topics(topics)
     program = ProgramModel(
         engine.program.rules,
         engine.program.knowledge,
-        definitions,
+        definitions.with_strings(engine.strings),
         topics,
         direct_types,
         folder,
@@ -152,6 +170,7 @@ def explain_missing_events(
     Messages of topics that are subscribed to later are not known.
     """
     topics = engine.with_requested_topics(topics)
+    definitions = definitions.with_strings(engine.strings)
     program = ProgramModel(engine.program.rules, engine.program.knowledge, definitions, topics, tuple(direct))
     return explain_missing_producer(program, pattern)
 

@@ -6,11 +6,11 @@ While files are loaded, their goals may read any file, and they can have other l
 
 import os
 from pathlib import Path
-from typing import Callable, Dict, Optional, TypeVar
+from typing import Callable, ContextManager, Dict, Optional, TypeVar
 
 from ..events.dispatch.dispatcher import Dispatcher
 from ..events.program.goal_file import FileGoal, errors_of_goal, read_file_goals
-from ..events.program.topic_configuration import GOALS, event_types, read_text
+from ..events.program.topic_configuration import GOALS, Topics, find_topics, read_text
 from ..foundation.errors import (
     Errors,
     ProgramErrors,
@@ -44,7 +44,9 @@ class ProgramLoader:
         dispatcher: its event context is restored if loading raises an exception.
         limits_file_goals: whether the limits of later goals also apply to goals of files.
         call_once: calls a goal, and returns whether it succeeds.
-        declare_event_types: receives the message types by the event names that a folder gives them.
+        declare_topics: receives the topics of a folder; None if its ``pub_sub.xml`` is invalid or missing.
+        await_constants: returns a context in which constants of unknown types are accepted, because the folder can be
+            loaded again.
 
     Attributes:
         program: the program that receives the contents of the files.
@@ -58,7 +60,8 @@ class ProgramLoader:
         dispatcher: Dispatcher,
         limits_file_goals: bool,
         call_once: Callable[[Term], bool],
-        declare_event_types: Callable[[Dict[str, str]], None],
+        declare_topics: Callable[[Optional[Topics]], None],
+        await_constants: Callable[[], ContextManager[object]],
     ):
         self.program = program
         self.deployments: Dict[str, Deployment] = {}
@@ -67,7 +70,8 @@ class ProgramLoader:
         self._dispatcher = dispatcher
         self._limits_file_goals = limits_file_goals
         self._call_once = call_once
-        self._declare_event_types = declare_event_types
+        self._declare_topics = declare_topics
+        self._await_constants = await_constants
 
     def load(self, rules: str, goals: str, source: str, folder: Optional[Path]) -> None:
         """Load the texts of a program; see `Engine.load`."""
@@ -134,14 +138,19 @@ class ProgramLoader:
 
     def load_files(self, folder: Path) -> None:
         """Load a program's folder or an event file, without a record of its deployment."""
+        with self._await_constants():
+            self._load_files(folder)
+
+    def _load_files(self, folder: Path) -> None:
         if os.path.isfile(folder):
             self.load_rules(read_text(folder), str(folder), folder.parent)
             return
         if not os.path.isdir(folder):
             raise UsageError(f"cannot read {folder}: there is no such file or folder")
         path = folder / GOALS
-        # Types of event names must be known before the goals run: rules in the folder are checked against them.
-        self._declare_event_types(event_types(folder))
+        # Types of event names and the form of strings must be known before the goals run: rules in the folder are
+        # checked against them.
+        self._declare_topics(find_topics(folder))
         self.call_goals(read_text(path), str(path), folder)
 
     def _call_file_goal(self, goal: FileGoal) -> bool:

@@ -64,7 +64,6 @@ class StoredRule(NamedTuple):
         place: its place in a file, or None.
         names: names of its variables.
         serial: its position among all rules.
-        name: its name in reports.
         is_active: whether it is active; a deleted one is stored for its pending alarms.
     """
 
@@ -73,7 +72,6 @@ class StoredRule(NamedTuple):
     place: Optional[Place]
     names: Dict[Var, str]
     serial: int
-    name: str
     is_active: bool
 
 
@@ -126,7 +124,6 @@ RULES = record_of(
         place=optional(PLACE),
         names=mapping_of(VARIABLE, TEXT),
         serial=COUNT,
-        name=TEXT,
         is_active=BOOLEAN,
     ),
     properties=PROPERTIES,
@@ -152,7 +149,6 @@ def stored_rules(rules: RuleBase, referenced_rules: Sequence[EventRule]) -> Stor
                 rule.definition.place,
                 dict(rule.definition.names),
                 rule.serial,
-                rule.name,
                 rule in active_rules,
             )
             for rule in referenced_rules
@@ -184,9 +180,9 @@ def restore_rules(rules: RuleBase, saved: StoredRules) -> List[EventRule]:
     for name, value in saved.flags.items():
         rules.flags.set(name, value)
     restored_rules = []
-    for term, label, place, names, serial, name, is_active in saved.definitions:
+    for term, label, place, names, serial, is_active in saved.definitions:
         definition = reread_rule(term, label, place, names)
-        rule = EventRule(rules.network, definition._replace(names=MappingProxyType(names)), serial, name)
+        rule = EventRule(rules.network, definition._replace(names=MappingProxyType(names)), serial)
         restored_rules.append(rule)
         # Deleted rules are only created for their pending alarms.
         if is_active:
@@ -270,7 +266,10 @@ class NetworkState(StateOwner):
 
     STATE = StateFields(
         part_list(
-            "rule_states", "active_rules", "expected the state of each rule", title=lambda rule: rule.name
+            "rule_states",
+            "active_rules",
+            "expected the state of each rule",
+            title=lambda rule: f"rule {rule.name}",
         ),
         part("tracker"),
         part("pending_queries"),

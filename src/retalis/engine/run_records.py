@@ -64,6 +64,7 @@ class OpenWindowRecord(TypedDict):
     Attributes:
         open_window: the window, as ``every(10)``.
         rule: head of the rule, or its name if it has none.
+        name: name of the rule.
         key: values of the key by the variables of the rule.
         elements: number of elements.
         start: start of the window, or of its elements.
@@ -72,6 +73,7 @@ class OpenWindowRecord(TypedDict):
 
     open_window: str
     rule: str
+    name: str
     key: Dict[str, str]
     elements: int
     start: int
@@ -89,6 +91,9 @@ class OutputRecord(TypedDict):
 
 OpenRecord = Union[OpenStateRecord, OpenWindowRecord]
 RunRecord = Union[EventRecord, WaitRecord, MemoryStateRecord, OpenRecord, OutputRecord]
+
+LATER_FIELDS = frozenset(("name",))
+"""Fields that records of earlier versions lack."""
 
 RECORD_TYPES = {
     "event": EventRecord,
@@ -109,11 +114,14 @@ def open_records(program: LoadedProgram) -> Iterator[OpenRecord]:
     show = program.logic.show
     for rule in program.rules.rules:
         definition = rule.definition
-        title = rule.name if definition.head is None else show(definition.head, names=definition.names)
+        head = (
+            f"rule {rule.name}" if definition.head is None else show(definition.head, names=definition.names)
+        )
         for pattern, key, window in rule.open_windows():
             yield OpenWindowRecord(
                 open_window=show(window_term(pattern.window, timestamps.to_shortest_seconds)),
-                rule=title,
+                rule=head,
+                name=rule.name,
                 key={name: canonical_text(value) for name, value in key.items()},
                 elements=window.element_count,
                 start=window.start,

@@ -11,16 +11,12 @@ that the rule's own window computed from older matches can differ; the text of t
 
 from contextlib import closing
 from functools import lru_cache
-from itertools import islice
 from typing import (
     Any,
     Callable,
-    Collection,
     Dict,
-    Iterable,
     Iterator,
     List,
-    Mapping,
     NamedTuple,
     Optional,
     Sequence,
@@ -34,8 +30,11 @@ from ..events.language.pattern_tree import (
     AggregatePattern,
     ConditionPattern,
     EventPattern,
+    InstantPattern,
     KleenePattern,
+    NegationScope,
     NotPattern,
+    NotPrecededPattern,
     OrPattern,
     PairPattern,
     RatePattern,
@@ -43,9 +42,15 @@ from ..events.language.pattern_tree import (
     RowPatternStep,
     WindowPattern,
     WithinPattern,
-    occurrences,
 )
-from ..events.language.stream_parser import rate_operator_term, step_term, window_term
+from ..events.language.stream_parser import (
+    NOT_PRECEDED,
+    positive_nanoseconds,
+    rate_operator_term,
+    step_term,
+    timeout_term,
+    window_term,
+)
 from ..events.matches.network_options import NetworkOptions
 from ..events.network.event_rule import EventRule
 from ..events.network.goal_evaluation import Evaluators
@@ -59,13 +64,12 @@ from ..events.streams.stream_operators import StreamElement, StreamOutput
 from ..foundation import codegen
 from ..foundation.cancellation import check_limits
 from ..foundation.errors import RetalisError, RuleError
-from ..prolog.syntax.operators import Operators
-from ..prolog.syntax.term_writer import named_message_portray, write_term
 from ..prolog.system.prolog_system import PrologSystem
 from ..prolog.terms import timestamps
 from ..prolog.terms.term_traversal import copy, variables
-from ..prolog.terms.types import NIL, Term, Trail, Var, deref, functor
+from ..prolog.terms.types import NIL, Term, Trail, Var, functor
 from ..prolog.terms.unification import undo, unify
+from .explanation_lines import TimeFormat, names_of_bound_variables, show_term
 
 MAX_CANDIDATES = 200
 """Maximum number of matches of a part that are examined; the newest ones are kept."""
@@ -82,8 +86,7 @@ _EQUAL_FUNCTOR = functor("=", 2)
 _OR_NAME, *_ = names_of_kind(OperatorKind.ALTERNATIVES)
 _STAR_NAME, *_ = names_of_kind(OperatorKind.RUN)
 _WITHIN_NAME, *_ = names_of_kind(OperatorKind.LIMIT)
-_ABSENCE_NAMES = " or ".join(names_of_kind(OperatorKind.ABSENCE))
-_BETWEEN_NAMES = " or ".join(names_of_kind(OperatorKind.ABSENCE, may_lie_between=True))
+_UNLIMITED_NAMES = f"{NegationScope.BETWEEN.value} or {NegationScope.BEFORE.value}"
 _CONDITION_NAMES = [
     names_of_kind(OperatorKind.CONDITION, has_interval_predicates=timed)[0] for timed in (False, True)
 ]
@@ -143,52 +146,6 @@ class PartResult(NamedTuple):
         return "+" if self.matches else "-"
 
 
-_MAX_EVENTS_FOR_FORM = 10
-"""Number of events that are searched for a stamp: timers may be the first ones."""
-
-
-class TimeFormat:
-    """Text of intervals: ``at T`` for a point in time, ``[T1,T2]`` for others.
-
-    Args:
-        show: returns the text of a term.
-        reference_time: nanoseconds since the epoch; times are shown in seconds relative to it. None for absolute
-            times.
-        occurrences: the recorded events, whose first stamps determine the form of absolute times of the clock.
-    """
-
-    def __init__(
-        self, show: Callable[[Term], str], reference_time: Optional[int], occurrences: Iterable[Occurrence]
-    ):
-        self._show = show
-        self._reference_time = reference_time
-        self._clock_form = timestamps.ClockForm()
-        for occurrence in islice(occurrences, _MAX_EVENTS_FOR_FORM):
-            self._clock_form.convert(occurrence.start)
-
-    def format_interval(self, start: int, end: int) -> str:
-        """Return the text of an interval."""
-        if start == end:
-            return f"at {self.format_instant(start)}"
-        return f"[{self._format_number(start)},{self._format_number(end)}]{self._unit_suffix}"
-
-    def format_instant(self, instant: int) -> str:
-        """Return the text of an instant."""
-        return f"{self._format_number(instant)}{self._unit_suffix}"
-
-    @property
-    def _unit_suffix(self) -> str:
-        return "" if self._reference_time is None else " s"
-
-    def _format_number(self, instant: int) -> str:
-        if self._reference_time is None:
-            return self._show(timestamps.lazy_term(self._clock_form.convert(instant)))
-        # A stamp before the start of the run counts as the start, as in the output of the commands.
-        whole, remainder = divmod(max(0, int(instant) - self._reference_time), 10**9)
-        fraction = f".{remainder:09d}".rstrip("0") if remainder else ""
-        return f"{whole}{fraction}"
-
-
 class WhyNot:
     """Evaluation of the parts of one rule's pattern.
 
@@ -236,6 +193,8 @@ class WhyNot:
             WindowPattern: self._evaluate_window,
             RatePattern: self._evaluate_rate_operator,
             AbsencePattern: self._evaluate_absence_timeout,
+            NotPrecededPattern: self._evaluate_not_preceded,
+            InstantPattern: self._evaluate_instant,
         }
 
     def evaluate(self, pattern: Any) -> PartResult:
@@ -303,17 +262,22 @@ class WhyNot:
         matches = [
             match
             for match in part.matches
-            if not any(self._excludes(negated_match, match) for negated_match in negated.matches)
+            if not any(
+                self._excludes(pattern.scope, negated_match, match) for negated_match in negated.matches
+            )
         ]
-        name = _BETWEEN_NAMES if pattern.inside else _ABSENCE_NAMES
+        # A cnot that has no gap is read as a negation of all earlier matches.
+        name = _UNLIMITED_NAMES if pattern.scope is NegationScope.BEFORE else pattern.scope.value
         reason = "ruled out by what must not happen" if part.matches else "not tested"
         text = f"{name}: {self._format_result(matches, reason)}"
         return PartResult(text, matches, [part, _create_negated_part(negated)], None, bool(part.matches))
 
-    def _excludes(self, negated: Candidate, match: Candidate) -> bool:
+    def _excludes(self, scope: NegationScope, negated: Candidate, match: Candidate) -> bool:
         """Return whether a match of the negated part excludes a match: it lies in its gap, or before it if none."""
         if self._join_values(match, negated) is None:
             return False
+        if scope is NegationScope.OVERLAP:
+            return negated.start < match.end and match.start < negated.end
         if match.gap is None:
             return negated.end < match.start
         gap_start, gap_end = match.gap
@@ -336,9 +300,11 @@ class WhyNot:
         first_part, collected_part = self.evaluate(pattern.first), self.evaluate(pattern.collected)
         value = NIL if pattern.value is None else pattern.value
         value_vars = variables(value)
-        evaluate = Evaluators(self._rule).compile_expression(pattern.kind, value, value_vars)
+        evaluators = Evaluators(self._rule)
+        evaluate = evaluators.compile_expression(pattern.kind, value, value_vars)
+        setting = evaluators.compile_setting(pattern.kind, pattern.setting)
         # The values that are passed to the aggregate below are those of `value_vars`, and the aggregated term last.
-        aggregate = SequenceAggregate(pattern.kind, lambda values: values[-1], evaluate)
+        aggregate = SequenceAggregate(pattern.kind, setting, lambda values: values[-1], evaluate)
         matches: List[Candidate] = []
         results: List[str] = []
 
@@ -360,11 +326,12 @@ class WhyNot:
                 aggregated_values = tuple([self._instantiate(values, term) for term in (*value_vars, value)])
                 try:
                     state = aggregate.add(state, aggregated_values)
-                    result = aggregate.result(state)
+                    result = aggregate.result(state, last.end - match.end)
                 except RuleError as error:
                     problem = f", {error.message}"
                     continue
-                add_result(match, last.end, result)
+                if result is not None:
+                    add_result(match, last.end, result)
         reason = self._format_other_results(results) or "nothing was collected"
         reason = f"{reason}{problem}" if first_part.matches else "it did not begin"
         matches = matches[-MAX_CANDIDATES:]
@@ -516,26 +483,69 @@ class WhyNot:
         part, negated = self.evaluate(pattern.pattern), self.evaluate(pattern.negated)
         node = self._rule.stream_node(pattern)
         watermark_time = self._current_time if node is None else node.watermark_time()
-        elapsed_matches = [match for match in part.matches if match.end + pattern.span <= watermark_time]
+        spans = [(match, self._timeout_of(pattern, match)) for match in part.matches]
+        timed_matches = [(match, span) for match, span in spans if span is not None]
+        elapsed_matches = [
+            (match, span) for match, span in timed_matches if match.end + span <= watermark_time
+        ]
         matches = [
-            match._replace(end=match.end + pattern.span, event=None)
-            for match in elapsed_matches
+            match._replace(end=match.end + span, event=None)
+            for match, span in elapsed_matches
             if not any(
-                self._is_within_deadline(negated_match, match, pattern.span)
-                for negated_match in negated.matches
+                self._is_within_deadline(negated_match, match, span) for negated_match in negated.matches
             )
         ]
-        is_waiting = any(match.end + pattern.span <= self._current_time for match in part.matches)
-        if elapsed_matches:
+        is_waiting = any(match.end + span <= self._current_time for match, span in timed_matches)
+        if part.matches and not timed_matches:
+            reason = "its time is not a positive number of seconds"
+        elif elapsed_matches:
             reason = "ruled out by what must not happen"
         elif is_waiting:
             delay = timestamps.to_seconds(self._current_time - watermark_time)
             reason = f"the time after it is over, and the alarm waits {delay:g} s for late events"
         else:
-            reason = "the time after it is not over" if part.matches else "not tested"
-        seconds = timestamps.to_seconds(pattern.span)
-        text = f"{_TIMEOUT_NAME} {seconds:g}: {self._format_result(matches, reason)}"
+            reason = (
+                "the time after it is not over ('until' of a test case sets a later end)"
+                if part.matches
+                else "not tested"
+            )
+        time = timeout_term(pattern)
+        seconds = self._show(time) if isinstance(pattern.span, Var) else f"{time:g}"
+        text = f"{_TIMEOUT_NAME} {seconds}: {self._format_result(matches, reason)}"
         return PartResult(text, matches, [part, _create_negated_part(negated)], None, bool(part.matches))
+
+    def _evaluate_not_preceded(self, pattern: NotPrecededPattern) -> PartResult:
+        part, negated = self.evaluate(pattern.pattern), self.evaluate(pattern.negated)
+        matches = [
+            match
+            for match in part.matches
+            if not any(
+                match.start - pattern.span < negated_match.end < match.start
+                and self._join_values(match, negated_match) is not None
+                for negated_match in negated.matches
+            )
+        ]
+        reason = "ruled out by what must not happen" if part.matches else "not tested"
+        name = f"{NOT_PRECEDED.name} {timestamps.to_seconds(pattern.span):g}"
+        text = f"{_RATE_NAME} {name}: {self._format_result(matches, reason)}"
+        return PartResult(text, matches, [part, _create_negated_part(negated)], None, bool(part.matches))
+
+    def _timeout_of(self, pattern: AbsencePattern, match: Candidate) -> Optional[int]:
+        """Return the time after a match in ns; None if its variable has no valid value."""
+        if not isinstance(pattern.span, Var):
+            return pattern.span
+        return positive_nanoseconds(self._instantiate(match.values, pattern.span))
+
+    def _evaluate_instant(self, pattern: InstantPattern) -> PartResult:
+        part = self.evaluate(pattern.pattern)
+        # An instant of a single event is still that event, which is never both operands of a pair.
+        matches = [
+            match._replace(start=instant, end=instant, gap=None)
+            for match in part.matches
+            for instant in (match.end if pattern.at_end else match.start,)
+        ]
+        text = f"{pattern.operator}: {self._format_result(matches, 'not tested')}"
+        return PartResult(text, matches, [part], None, bool(part.matches))
 
     def _is_within_deadline(self, negated: Candidate, match: Candidate, span: int) -> bool:
         """Return whether a match of the negated part lies entirely within the time span after a match."""
@@ -620,43 +630,6 @@ class WhyNot:
 
     def _show(self, term: Term) -> str:
         return show_term(term, self._logic.operators, self._names, self._field_named_variables)
-
-
-def show_term(
-    term: Term, operators: Operators, names: Mapping[Var, str], field_named_variables: Collection[Var] = ()
-) -> str:
-    """Return the text of a term.
-
-    Args:
-        term: the term.
-        operators: operators of the term's syntax.
-        names: names of variables. Other variables are written as ``_`` if they occur once, otherwise as A, B, and so
-            on.
-        field_named_variables: variables of a rule that was written with named message slots.
-    """
-    counts = occurrences([term], None)
-    used_names = set(names.values())
-    letters = (name for name in map(chr, range(ord("A"), ord("Z") + 1)) if name not in used_names)
-    shown_names = {}
-    for var in variables(term):
-        shown_names[var] = names.get(var) or ("_" if counts[var] == 1 else next(letters, "_"))
-    portray = named_message_portray(
-        term, operators, field_named_variables, quoted=True, variable_names=shown_names
-    )
-    return write_term(term, operators, quoted=True, wide=True, variable_names=shown_names, portray=portray)
-
-
-def names_of_bound_variables(names: Mapping[Var, str]) -> Dict[Var, str]:
-    """Return the names of a rule's variables, by the variables that they are bound to now.
-
-    A variable of the head may be bound to an unbound variable of the event that is explained.
-    """
-    names_by_target: Dict[Var, str] = {}
-    for var, name in names.items():
-        target = deref(var)
-        if isinstance(target, Var):
-            names_by_target.setdefault(target, name)
-    return names_by_target
 
 
 def _create_negated_part(negated: PartResult) -> PartResult:

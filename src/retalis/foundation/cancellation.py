@@ -11,7 +11,7 @@ The check finds the goal in one of two ways. A machine that runs in the current 
 
 from itertools import chain
 from threading import local
-from typing import Callable, Iterable, Iterator, Optional, Protocol, Sequence, Tuple, TypeVar, overload
+from typing import Callable, Iterable, Iterator, Optional, Protocol, Sequence, Set, TypeVar, overload
 from weakref import ref
 
 STEPS_PER_ROUND = (None,) * 1024
@@ -44,15 +44,13 @@ class RunningBudget(Protocol):
         """Count work and raise an error if a limit is exceeded, with ``size`` bytes about to be allocated."""
 
 
-_BUDGETS: Tuple[Callable[[], Optional[RunningBudget]], ...] = ()
+_BUDGETS: "Set[ref[RunningBudget]]" = set()
 """Weak references to the budgets that `check_limits` checks if no function is registered for the thread."""
 
 
 def register_budget(budget: RunningBudget) -> None:
     """Register a budget that `check_limits` checks whenever a goal of it runs in the current thread."""
-    global _BUDGETS
-    # The tuple is replaced and not changed, because `check_limits` iterates over it in other threads.
-    _BUDGETS = (*[reference for reference in _BUDGETS if reference() is not None], ref(budget))
+    _BUDGETS.add(ref(budget, _BUDGETS.discard))
 
 
 def accept_all_work(work: int, size: int) -> None:
@@ -71,7 +69,8 @@ def check_limits(work: int = len(STEPS_PER_ROUND), size: int = 0) -> None:
     if check is not None:
         check(work, size)
         return
-    for reference in _BUDGETS:
+    # Copied in one step of the interpreter, because other threads register budgets meanwhile.
+    for reference in _BUDGETS.copy():
         budget = reference()
         if budget is not None and budget.runs_here:
             budget.check_limits(work, size)

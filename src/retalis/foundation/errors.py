@@ -104,6 +104,11 @@ class Place(NamedTuple):
         return f"{self.text}\n{lead}^"
 
 
+def line_of(place: object) -> str:
+    """Return file and line of a position or of its text ``FILE:LINE:COLUMN``; "" if there is none."""
+    return str(place or "").rpartition(":")[0]
+
+
 def place_in_line(source: str, line_number: int, text: str, start: int, offset: int) -> Place:
     """Return the place of the character at ``offset`` of a text, in the line that begins at ``start``."""
     end = text.find("\n", offset, offset + MAX_SHOWN_CHARACTERS)
@@ -138,6 +143,22 @@ def quote_shortened(text: str) -> str:
 def format_count(number: int, singular: str, plural: str = "") -> str:
     """Return a count with its noun: ``1 slot``, ``2 slots``; ``plural`` is an irregular plural."""
     return f"{number} {singular if number == 1 else plural or f'{singular}s'}"
+
+
+def format_duration(seconds: float) -> str:
+    """Return a time span of finite length with its units: ``1 h 23 min 20 s``, ``2.5 s``, ``500 ms``."""
+    nanoseconds = round(seconds * 1_000_000_000)
+    if 0 < abs(nanoseconds) < 1_000_000_000:
+        return f"{nanoseconds / 1_000_000:.6f}".rstrip("0").rstrip(".") + " ms"
+    sign, nanoseconds = "-" * (nanoseconds < 0), abs(nanoseconds)
+    minutes, nanoseconds = divmod(nanoseconds, 60_000_000_000)
+    hours, minutes = divmod(minutes, 60)
+    days, hours = divmod(hours, 24)
+    parts = [f"{count} {unit}" for count, unit in ((days, "d"), (hours, "h"), (minutes, "min")) if count]
+    if nanoseconds or not parts:
+        whole, fraction = divmod(nanoseconds, 1_000_000_000)
+        parts.append(f"{whole}.{fraction:09}".rstrip("0").rstrip(".") + " s")
+    return sign + " ".join(parts)
 
 
 def install_hint(package: str, debian_package: str) -> str:
@@ -242,7 +263,15 @@ class UnknownMessage(SyntaxFault):
 
 
 class UndefinedPredicate(RuleError):
-    """A warning about a call of a predicate that has no definition yet; another file may define it."""
+    """A warning about a call of a predicate that has no definition yet; another file may define it.
+
+    Attributes:
+        call: the call.
+    """
+
+    def __init__(self, message: str, place: Optional[Place], call: object):
+        super().__init__(message, place)
+        self.call = call
 
 
 class RecurringWarning(RuleError):

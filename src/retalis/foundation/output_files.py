@@ -9,10 +9,14 @@ import os
 import shutil
 from contextlib import contextmanager
 from pathlib import Path
-from typing import IO, Any, Iterator, Optional, Union, cast
+from typing import IO, TYPE_CHECKING, Any, Iterator, Optional, Union, cast
 from uuid import uuid4
 
+from .errors import UsageError
 from .interrupts import SafeExit, interruptible
+
+if TYPE_CHECKING:
+    from xml.etree.ElementTree import Element
 
 _INCOMPLETE_MARK = ".incomplete."
 
@@ -133,6 +137,49 @@ def open_output(target: Union[str, Path], keep_on_interrupt: bool = False) -> It
             yield cast("IO[str]", GuardedOutput(file, str(target)))
     except OSError as error:
         raise OutputFailed(str(target), error) from None
+
+
+def write_xml(target: Path, root: "Element", creates_folder: bool = False) -> None:
+    """Write an XML document, in place of an existing file.
+
+    Args:
+        target: path of the file.
+        root: root of the document.
+        creates_folder: whether a missing folder of the file is created.
+
+    Raises:
+        UsageError: if the file cannot be written.
+    """
+    from xml.etree import ElementTree  # noqa: PLC0415 - nodes write no XML
+
+    with _replace_or_reject(target, creates_folder) as incomplete_path:
+        ElementTree.ElementTree(root).write(incomplete_path, encoding="utf-8", xml_declaration=True)
+
+
+def write_text(target: Path, text: str) -> None:
+    """Write a text, in place of an existing file; a missing folder of the file is created.
+
+    Args:
+        target: path of the file.
+        text: the text.
+
+    Raises:
+        UsageError: if the file cannot be written.
+    """
+    with _replace_or_reject(target, creates_folder=True) as incomplete_path:
+        incomplete_path.write_text(text, encoding="utf-8")
+
+
+@contextmanager
+def _replace_or_reject(target: Path, creates_folder: bool) -> Iterator[Path]:
+    """Do as `replace_file`; raise a `UsageError` if the file cannot be written."""
+    try:
+        if creates_folder:
+            target.parent.mkdir(parents=True, exist_ok=True)
+        with replace_file(target) as incomplete_path:
+            yield incomplete_path
+    except OSError as error:
+        raise UsageError(f"cannot write {target}: {error.strerror}") from error
 
 
 def print_json(content: object, file: Optional[IO[str]] = None, flush: bool = True) -> None:

@@ -23,7 +23,7 @@ from typing import Callable, Dict, List, Optional, Tuple
 from ..foundation import codegen
 from ..foundation.bounded_caches import Cache
 from ..foundation.errors import MessageError
-from ..prolog.terms.byte_texts import text_atom
+from ..prolog.terms.byte_texts import plain_text_atom, text_atom
 from ..prolog.terms.types import Term, atom
 from .decoder import (
     Decode,
@@ -37,6 +37,7 @@ from .decoder import (
     create_text_cache,
     find_number_decoder,
     has_header,
+    plain_text_term,
     text_term,
 )
 from .type_definition import (
@@ -70,6 +71,9 @@ _WIDE_CHARACTER_BYTES = (4, 2)
 
 _cached_texts: Cache[bytes, Term] = create_text_cache()
 """Terms of short strings, by their bytes including the zero at the end."""
+
+_cached_plain_texts: Cache[bytes, Term] = create_text_cache()
+"""Terms of short strings in the plain form, by their bytes including the zero at the end."""
 
 
 class NegativeTimeError(ValueError):
@@ -159,6 +163,8 @@ class CdrDecoderGenerator(DecoderGenerator):
         self.globals.update(
             known=_cached_texts.get,
             read_text=_read_text,
+            known_plain=_cached_plain_texts.get,
+            read_plain_text=_read_plain_text,
             NegativeTimeError=NegativeTimeError,
         )
 
@@ -182,7 +188,7 @@ class CdrDecoderGenerator(DecoderGenerator):
     def read_value(self, slot: Field) -> str:
         """Return the expression of one value of a slot."""
         if slot.is_wide:
-            return self._read_wide_string()
+            return self._read_wide_string(slot)
         if slot.type in TIMES:
             seconds, nanoseconds = self.add_to_run(TIMES[slot.type][0]), self.add_to_run(TIMES[slot.type][1])
             if slot.type == "time":
@@ -190,10 +196,12 @@ class CdrDecoderGenerator(DecoderGenerator):
             return f"(C, {seconds}, (C, {nanoseconds}, N))"
         return super().read_value(slot)
 
-    def _read_wide_string(self) -> str:
+    def _read_wide_string(self, slot: Field) -> str:
         self.end_run()
         value = self.new_name("t")
-        read = self.new_name("wide", _make_wide_string_reader(self.byte_order, self._character_bytes))
+        make_atom = plain_text_atom if slot.is_plain else text_atom
+        reader = _make_wide_string_reader(self.byte_order, self._character_bytes, make_atom)
+        read = self.new_name("wide", reader)
         self.lines.append(f"{value}, o = {read}(data, {align(self.run_offset(), 4)})")
         self._restart("o", 1)
         return value
@@ -300,16 +308,30 @@ class CdrDecoderGenerator(DecoderGenerator):
 
 def _read_text(data: bytes, start: int, stop: int) -> Term:
     """Return the string between two offsets of a message, which is not in the cache, and cache it."""
+    raw = _slice_text(data, start, stop)
+    return cache_text(_cached_texts, raw, text_term(_strip_zero(raw)))
+
+
+def _read_plain_text(data: bytes, start: int, stop: int) -> Term:
+    """Return the string between two offsets in the plain form; see `_read_text`."""
+    raw = _slice_text(data, start, stop)
+    return cache_text(_cached_plain_texts, raw, plain_text_term(_strip_zero(raw)))
+
+
+def _slice_text(data: bytes, start: int, stop: int) -> bytes:
     raw = data[start:stop]
     if len(raw) != stop - start:
         raise StructError
+    return raw
+
+
+def _strip_zero(raw: bytes) -> bytes:
     # Some implementations omit the zero of an empty string.
-    text = text_term(raw[:-1] if raw.endswith(b"\0") else raw)
-    return cache_text(_cached_texts, raw, text)
+    return raw[:-1] if raw.endswith(b"\0") else raw
 
 
 def _make_wide_string_reader(
-    byte_order: str, character_bytes: int
+    byte_order: str, character_bytes: int, make_atom: Callable[[bytes], Term]
 ) -> Callable[[bytes, int], Tuple[Term, int]]:
     """Return the function that reads a wide string at an aligned offset."""
     unpack_count = Struct(f"{byte_order}I").unpack_from
@@ -324,7 +346,7 @@ def _make_wide_string_reader(
         text = data[start:end].decode(encoding, "surrogatepass")
         # Characters of four bytes are code units of UTF-16, too: a surrogate pair is one character.
         text = text.encode(code_units, "surrogatepass").decode(code_units, "surrogatepass")
-        return text_atom(text.encode("utf-8", "surrogatepass")), end
+        return make_atom(text.encode("utf-8", "surrogatepass")), end
 
     return read
 
@@ -372,12 +394,12 @@ class CdrFrameDecoderGenerator(FrameDecoderGenerator, CdrDecoderGenerator):
             raise UnsupportedLayout
         return super().read_value(slot)
 
-    def read_string(self) -> str:
-        """Add a string; all strings of the message must be adjacent."""
+    def read_string(self, slot: Field) -> str:
+        """Add a string; all strings of the message must be adjacent, and have the same form."""
         if not self.string_variables:
             self._add_padding(-self._phase % 4)
             self._times, self._seconds = self._seconds, []
-        return super().read_string()
+        return super().read_string(slot)
 
     def add_to_run(self, code: str, alignment: int = 0) -> str:
         """Add a value to the run, by its `struct` code; return the variable that holds it."""
@@ -446,7 +468,7 @@ class CdrFrameDecoderGenerator(FrameDecoderGenerator, CdrDecoderGenerator):
             end = offset + 4 + int.from_bytes(key[offset : offset + 4], "little")
             if key[offset + 4 : end][-1:] != b"\0":
                 return None
-            terms.append(text_term(key[offset + 4 : end - 1]))
+            terms.append(self.make_text(key[offset + 4 : end - 1]))
             offset = end
         return tuple(terms)
 

@@ -9,13 +9,14 @@ The length of the message so far is known modulo the largest alignment since the
 padding is part of the `struct` formats as far as possible.
 """
 
+from functools import partial
 from struct import Struct, pack
 from struct import error as StructError
-from typing import Callable, List
+from typing import Callable, List, Optional
 
 from ..foundation import codegen
 from ..foundation.errors import MessageError
-from ..prolog.terms.byte_texts import text_bytes
+from ..prolog.terms.byte_texts import plain_text_bytes, text_bytes
 from ..prolog.terms.types import ArrayDecoder, Atom, Lazy, Term
 from .cdr_decoder import ENCAPSULATION_BYTES, cdr_slots
 from .decoder import Decoder, find_number_decoder, raw_bytes
@@ -44,12 +45,13 @@ def _pack_text(encoded_bytes: bytes) -> bytes:
     return pack("<I", len(encoded_bytes) + 1) + encoded_bytes + b"\0"
 
 
-_packed_texts = PackedTexts(_pack_text, max_entries=2048, max_bytes=1 << 20, max_entry_bytes=1024)
+_packed_texts = PackedTexts(_pack_text, text_bytes, 2048, 1 << 20, 1024)
+_packed_plain_texts = PackedTexts(_pack_text, plain_text_bytes, 2048, 1 << 20, 1024)
 
 
-def _serialize_wide(term: Term) -> bytes:
+def _serialize_wide(term: Term, read_bytes: Callable[[Term], Optional[bytes]] = text_bytes) -> bytes:
     """Return the serialized wide string of a term."""
-    encoded_bytes = text_bytes(term) if term.__class__ is Atom else raw_bytes(term)
+    encoded_bytes = read_bytes(term) if term.__class__ is Atom else raw_bytes(term)
     if encoded_bytes is None:
         raise UnusualForm
     try:
@@ -76,6 +78,9 @@ class CdrEncoderGenerator(EncoderGenerator):
             packed_text=_packed_texts.get,
             serialize_text=_packed_texts.serialize,
             serialize_wide=_serialize_wide,
+            packed_plain_text=_packed_plain_texts.get,
+            serialize_plain_text=_packed_plain_texts.serialize,
+            serialize_plain_wide=partial(_serialize_wide, read_bytes=plain_text_bytes),
         )
 
     def add_from_start(self, definition: Definition, value: str) -> None:
@@ -97,10 +102,11 @@ class CdrEncoderGenerator(EncoderGenerator):
 
     def add_value(self, slot: Field, value: str) -> None:
         """Add a single value of a slot's type."""
+        plain = "plain_" if slot.is_plain else ""
         if slot.is_wide:
-            self._append(f"serialize_wide({value})", 4)
+            self._append(f"serialize_{plain}wide({value})", 4)
         elif slot.type == "string" and slot.definition is None:
-            self._append(f"packed_text({value}) or serialize_text({value})", 4)
+            self._append(f"packed_{plain}text({value}) or serialize_{plain}text({value})", 4)
         elif slot.type == "time" and slot.definition is None:
             seconds, nanoseconds = self.unpack_list(value, 2)
             self.add_to_run(_SIGNED_SECONDS, seconds)

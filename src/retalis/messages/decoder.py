@@ -26,7 +26,7 @@ from ..foundation import codegen
 from ..foundation.bounded_caches import Cache
 from ..foundation.errors import MessageError
 from ..prolog.terms.array_terms import BLOB, LAZY_STRING_FUNCTOR, MAX_EAGER_ELEMENTS, decoder_of_code
-from ..prolog.terms.byte_texts import blob_atom, text_atom
+from ..prolog.terms.byte_texts import blob_atom, plain_text_atom, text_atom
 from ..prolog.terms.timestamps import SECOND
 from ..prolog.terms.types import (
     CONS,
@@ -67,6 +67,13 @@ def text_term(data: bytes) -> Term:
     return text_atom(data)
 
 
+def plain_text_term(data: bytes) -> Term:
+    """Return the atom of a message's string in the plain form, as a lazy term if it is long."""
+    if len(data) > MAX_EAGER_BYTES:
+        return Lazy(LAZY_STRING_FUNCTOR, plain_text_atom, data)
+    return plain_text_atom(data)
+
+
 def blob_term(data: bytes) -> Term:
     """Return the atom of a message's byte array, as a lazy term if it is long."""
     if len(data) > MAX_EAGER_BYTES:
@@ -75,14 +82,16 @@ def blob_term(data: bytes) -> Term:
 
 
 def raw_bytes(term: Term) -> Optional[bytes]:
-    """Return the bytes of a lazy term of `blob_term`, or of `text_term` if it was not accessed; otherwise None."""
+    """Return the bytes of a lazy term of a byte array, or of a string that was not accessed; otherwise None."""
     if term.__class__ is Lazy and (
-        term.decoder is BLOB or (term.decoder is text_atom and term.decoded_term is None)
+        term.decoder is BLOB or (term.decoder in _TEXT_DECODERS and term.decoded_term is None)
     ):
         raw: bytes = term.source
         return raw
     return None
 
+
+_TEXT_DECODERS = (text_atom, plain_text_atom)
 
 _Value = TypeVar("_Value")
 
@@ -107,17 +116,38 @@ def cache_text(cache: Cache[bytes, _Value], key: bytes, value: _Value) -> _Value
     return cache.store(key, value, CACHE_BYTES_PER_CHARACTER * len(key))
 
 
+cached_plain_texts: Cache[bytes, Term] = create_text_cache()
+"""Terms of short strings in the plain form, by their bytes."""
+
+
 def read_text(data: bytes, start: int, stop: int) -> Term:
     """Return the string between two offsets of a message, which is not in the cache, and cache it."""
+    raw = _slice_text(data, start, stop)
+    return cache_text(cached_texts, raw, text_term(raw))
+
+
+def read_plain_text(data: bytes, start: int, stop: int) -> Term:
+    """Return the string between two offsets in the plain form; see `read_text`."""
+    raw = _slice_text(data, start, stop)
+    return cache_text(cached_plain_texts, raw, plain_text_term(raw))
+
+
+def _slice_text(data: bytes, start: int, stop: int) -> bytes:
     raw = data[start:stop]
     # A slice beyond the end of the message is shorter than the length field says.
     if len(raw) != stop - start:
         raise StructError
-    return cache_text(cached_texts, raw, text_term(raw))
+    return raw
 
 
-def read_texts(key: bytes, count: int) -> Optional[Tuple[Term, ...]]:
-    """Return the strings that fill ``key``, each preceded by its length; None if they do not fill it exactly."""
+def read_texts(key: bytes, count: int, make_term: Callable[[bytes], Term]) -> Optional[Tuple[Term, ...]]:
+    """Return the strings that fill ``key``, each preceded by its length; None if they do not fill it exactly.
+
+    Args:
+        key: the bytes.
+        count: number of strings.
+        make_term: returns the term of a string.
+    """
     terms: List[Term] = []
     offset = 0
     for _ in range(count):
@@ -126,7 +156,7 @@ def read_texts(key: bytes, count: int) -> Optional[Tuple[Term, ...]]:
         # The lengths do not fit the key, so the message does not have the assumed layout.
         if len(raw) != size:
             return None
-        terms.append(text_term(raw))
+        terms.append(make_term(raw))
         offset += 4 + size
     return tuple(terms) if offset == len(key) and count else None
 
@@ -231,6 +261,8 @@ class DecoderGenerator:
                 "StructError": StructError,
                 "known": cached_texts.get,
                 "read_text": read_text,
+                "known_plain": cached_plain_texts.get,
+                "read_plain_text": read_plain_text,
                 "blob": blob_term,
                 "repeated_list": repeated_list,
             }
@@ -271,7 +303,7 @@ class DecoderGenerator:
         if slot.definition is not None:
             return self.read_message(slot.definition)
         if slot.type == "string":
-            return self.read_string()
+            return self.read_string(slot)
         if slot.type in TIMES:
             # Both parts of a time have the same code.
             code = TIMES[slot.type][0]
@@ -339,16 +371,17 @@ class DecoderGenerator:
         self.run_base, self.run_shift = "o", 0
         return value
 
-    def read_string(self) -> str:
-        """Return the expression of a string."""
+    def read_string(self, slot: Field) -> str:
+        """Return the expression of a string, in the form that the slot has."""
         count = self.add_to_run("I")
         self.end_run()
         self.advance(count)
         value = self.new_name("t")
+        known, read = ("known_plain", "read_plain_text") if slot.is_plain else ("known", "read_text")
         self.lines += [
             # A hit costs no function call.
-            f"{value} = known(data[s:o])",
-            f"if {value} is None: {value} = read_text(data, s, o)",
+            f"{value} = {known}(data[s:o])",
+            f"if {value} is None: {value} = {read}(data, s, o)",
         ]
         return value
 
@@ -491,6 +524,8 @@ class FrameDecoderGenerator(DecoderGenerator):
     def _initialize_frames(self, watch: Optional[StampWatch]) -> None:
         self.watch = watch
         self.string_variables: List[str] = []
+        self.make_text = text_term
+        """Returns the term of a string."""
         self.leading_format = ""
         """`struct` codes of the numbers before the strings."""
         self.leading_variables: List[str] = []
@@ -498,8 +533,9 @@ class FrameDecoderGenerator(DecoderGenerator):
         self.cached_variables: List[str] = []
         """Variables of values that are cached beside the strings of a message; None until they are first computed."""
 
-    def read_string(self) -> str:
-        """Add a string; all strings of the message must be adjacent."""
+    def read_string(self, slot: Field) -> str:
+        """Add a string; all strings of the message must be adjacent, and have the same form."""
+        self.make_text = plain_text_term if slot.is_plain else text_term
         # Numbers between strings would move the strings that follow, so the key could not be one slice.
         if self.string_variables and self.run_format:
             raise UnsupportedLayout
@@ -603,7 +639,7 @@ class FrameDecoderGenerator(DecoderGenerator):
 
     def read_strings(self, key: bytes) -> Optional[Tuple[Term, ...]]:
         """Return the strings in the bytes from the first to the last one; None if they do not fill it exactly."""
-        return read_texts(key, len(self.string_variables))
+        return read_texts(key, len(self.string_variables), self.make_text)
 
     def _observer_call(self, watch: StampWatch) -> List[str]:
         """Return the statements that call the observer if the second of the stamp differs from the frame's state.

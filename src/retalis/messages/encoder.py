@@ -25,7 +25,7 @@ from ..foundation.bounded_caches import Cache
 from ..foundation.errors import MessageError, format_count
 from ..prolog.terms import timestamps
 from ..prolog.terms.array_terms import BLOB, MAX_EAGER_ELEMENTS, element_count, lazy_array
-from ..prolog.terms.byte_texts import text_bytes
+from ..prolog.terms.byte_texts import plain_text_bytes, text_bytes
 from ..prolog.terms.list_terms import list_items, make_list
 from ..prolog.terms.types import (
     CONS,
@@ -85,22 +85,25 @@ class PackedTexts(Cache[Atom, bytes]):
 
     Args:
         pack_text: returns the serialized string of its bytes.
+        read_bytes: returns the bytes that an atom denotes.
         max_entries, max_bytes, max_entry_bytes: see `Cache`.
     """
 
     def __init__(
         self,
         pack_text: Callable[[bytes], bytes],
+        read_bytes: Callable[[Term], Optional[bytes]],
         max_entries: int,
         max_bytes: int,
         max_entry_bytes: int,
     ):
         super().__init__(max_entries, max_bytes, max_entry_bytes)
         self._pack_text = pack_text
+        self._read_bytes = read_bytes
 
     def serialize(self, term: Term) -> bytes:
         """Return the serialized string of a term, and store it if the term is an atom."""
-        encoded_bytes = text_bytes(term) if term.__class__ is Atom else raw_bytes(term)
+        encoded_bytes = self._read_bytes(term) if term.__class__ is Atom else raw_bytes(term)
         if encoded_bytes is None:
             raise UnusualForm
         packed = self._pack_text(encoded_bytes)
@@ -113,7 +116,8 @@ def _pack_text(encoded_bytes: bytes) -> bytes:
     return pack("<I", len(encoded_bytes)) + encoded_bytes
 
 
-_packed_texts = PackedTexts(_pack_text, max_entries=2048, max_bytes=1 << 20, max_entry_bytes=1024)
+_packed_texts = PackedTexts(_pack_text, text_bytes, 2048, 1 << 20, 1024)
+_packed_plain_texts = PackedTexts(_pack_text, plain_text_bytes, 2048, 1 << 20, 1024)
 
 # Unpacking a term of an unexpected form raises one of these. They select `encode_slot_by_slot`, which raises the
 # error for the caller.
@@ -146,6 +150,8 @@ class EncoderGenerator:
                 "bools": _BOOLS,
                 "packed": _packed_texts.get,
                 "serialize": _packed_texts.serialize,
+                "packed_plain": _packed_plain_texts.get,
+                "serialize_plain": _packed_plain_texts.serialize,
                 "UnusualForm": UnusualForm,
                 "errors": FALLBACK_ERRORS,
                 "join": b"".join,
@@ -199,7 +205,8 @@ class EncoderGenerator:
             self.add_message(slot.definition, value)
         elif slot.type == "string":
             # A cached string is at least the four bytes of its length, so a false value means a miss.
-            self.add_expression(f"(packed({value}) or serialize({value}))")
+            suffix = "_plain" if slot.is_plain else ""
+            self.add_expression(f"(packed{suffix}({value}) or serialize{suffix}({value}))")
         elif slot.type in TIMES:
             # Both parts of a time have the same code.
             for item in self.unpack_list(value, 2):
@@ -472,9 +479,11 @@ def _get_bytes(slot: Field, term: Term, path: str) -> bytes:
     return raw
 
 
-def _get_text_bytes(value: Term, path: str, expected: str) -> bytes:
+def _get_text_bytes(
+    value: Term, path: str, expected: str, read_bytes: Callable[[Term], Optional[bytes]] = text_bytes
+) -> bytes:
     try:
-        raw = text_bytes(value)
+        raw = read_bytes(value)
     except MessageError as error:
         raise _Misfit(path, error.message) from None
     if raw is None:
@@ -486,11 +495,17 @@ def _encode_single(slot: Field, term: Term, path: str, chunks: List[bytes]) -> N
     if slot.definition is not None:
         _encode_message(slot.definition, term, path, chunks)
         return
-    chunks.append(_PACKERS[slot.type](slot.type, deref(term), path))
+    pack_value = _encode_plain_string if slot.is_plain else _PACKERS[slot.type]
+    chunks.append(pack_value(slot.type, deref(term), path))
 
 
 def _encode_string(type_name: str, value: Term, path: str) -> bytes:
     raw = _get_text_bytes(value, path, "a string")
+    return pack("<I", len(raw)) + raw
+
+
+def _encode_plain_string(type_name: str, value: Term, path: str) -> bytes:
+    raw = _get_text_bytes(value, path, "a text", plain_text_bytes)
     return pack("<I", len(raw)) + raw
 
 

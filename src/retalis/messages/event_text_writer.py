@@ -184,7 +184,7 @@ class _TextGenerator(FrameDecoderGenerator):
         if slot.definition is not None:
             return self.read_message(slot.definition)
         if slot.type == "string":
-            return _delimit(self.read_string())
+            return _delimit(self.read_string(slot))
         if slot.type in TIMES:
             code = TIMES[slot.type][0]
             return f"[{_delimit(self.add_to_run(code))},{_delimit(self.add_to_run(code))}]"

@@ -9,7 +9,7 @@ generated decoding function; for other types it happens when the message's time 
 """
 
 from copy import copy
-from struct import Struct
+from struct import Struct, pack, unpack_from
 from struct import error as StructError
 from typing import Any, Callable, List, Mapping, NamedTuple, Optional, Tuple, Union
 
@@ -48,6 +48,9 @@ of that frame."""
 
 _CHILD_FRAME_FIELD = "child_frame_id"
 
+_STAMP_OFFSET, _STAMP_END = 4, 12
+"""Range of the bytes of the stamp in a message that begins with a header."""
+
 _unpack_header = Struct("<4xIII").unpack_from
 """Reads secs, nsecs and the length of frame_id from a header, which begins with seq."""
 _unpack_uint32 = Struct("<I").unpack_from
@@ -74,6 +77,29 @@ def make_stamp_reader(
         return stamps
 
     return read_stamps
+
+
+def shift_header_stamp(data: bytes, serialization_format: SerializationFormat, nanoseconds: int) -> bytes:
+    """Return a message whose header has another stamp.
+
+    Args:
+        data: a message that begins with a header.
+        serialization_format: its format.
+        nanoseconds: time that is added to the stamp, which stays within the range of the format.
+
+    Returns:
+        The changed message, or an equal one if its stamp is zero, which means unset, or cannot be read.
+    """
+    byte_order = BYTE_ORDERS.get(data[:2]) if serialization_format is SerializationFormat.CDR else "<"
+    # Both formats have four bytes before the stamp: ``seq`` in ROS 1, the encapsulation in CDR.
+    if byte_order is None or len(data) < _STAMP_END:
+        return data
+    seconds, nanosecond = unpack_from(f"{byte_order}II", data, _STAMP_OFFSET)
+    stamp = seconds * SECOND + nanosecond
+    if not stamp or seconds > MAX_SECONDS:
+        return data
+    shifted = min(max(stamp + nanoseconds, 0), MAX_SECONDS * SECOND)
+    return data[:_STAMP_OFFSET] + pack(f"{byte_order}II", *divmod(shifted, SECOND)) + data[_STAMP_END:]
 
 
 def make_observed_decoder(decoder: Decoder, states: Mapping[bytes, Any], observer: StampObserver) -> Decoder:

@@ -8,7 +8,13 @@ from typing import Any, Dict, Mapping
 
 from ..foundation.errors import MessageError
 from ..prolog.terms import timestamps
-from ..prolog.terms.byte_texts import blob_atom, text_atom, text_bytes
+from ..prolog.terms.byte_texts import (
+    blob_atom,
+    plain_text_atom,
+    plain_text_bytes,
+    text_atom,
+    text_bytes,
+)
 from ..prolog.terms.list_terms import list_items, make_list
 from ..prolog.terms.types import FALSE, TRUE, Term, deref, functor
 from .decoder import raw_bytes
@@ -57,7 +63,8 @@ def _make_element(slot: Field, value: Any) -> Term:
     if slot.definition is not None:
         return make_message_term(slot.definition, value or {})
     if slot.type == "string":
-        return text_atom((value or "").encode("utf-8", "surrogateescape"))
+        make_atom = plain_text_atom if slot.is_plain else text_atom
+        return make_atom((value or "").encode("utf-8", "surrogateescape"))
     if slot.type in TIMES:
         return make_list(timestamps.to_parts(value or 0))
     if slot.type == "bool":
@@ -79,7 +86,8 @@ def _read_element(slot: Field, term: Term) -> Any:
     if slot.definition is not None:
         return read_message_term(slot.definition, term)
     if slot.type == "string":
-        return _read_bytes(term).decode("utf-8", "surrogateescape")
+        raw = (plain_text_bytes(term) or b"") if slot.is_plain else _read_bytes(term)
+        return raw.decode("utf-8", "surrogateescape")
     if slot.type in TIMES:
         parts: Any = list_items(term) or (0, 0)
         return timestamps.from_parts(*parts)

@@ -3,16 +3,33 @@
 Programs may write a message with named slots (``T{a: X}``). `SlotNames` supplies the slots of the type and their
 default values. If the name is not a message, it suggests the messages that the name is another spelling of
 (``Temperature``, ``sensor_msgs/Temperature``, ``sensor_msgs_Temperature``) or that are spelt like it.
+
+Constants of definitions (``T{NAME}``) are replaced by their values when a program is read. The definition of a type
+that is not installed may come from its publishers later; until the program is loaded again, a constant in its folder
+is an atom that equals no value, and its type is `SlotNames.awaited`.
 """
 
+from contextlib import contextmanager
 from difflib import get_close_matches
-from typing import Any, Dict, Iterable, List, Optional, Tuple
+from typing import Any, Dict, Iterable, Iterator, List, Optional, Set, Tuple
 
 from ..foundation.bounded_caches import Cache
-from ..foundation.errors import MessageError, UsageError, format_count
+from ..foundation.errors import MessageError, Place, UsageError, format_count
+from ..foundation.similar_names import did_you_mean
 from ..prolog.syntax.slot_defaults import MessageNotation, MessageSlot, MessageSuggestions
+from ..prolog.terms.byte_texts import plain_text_atom, text_atom
 from ..prolog.terms.term_traversal import copy
-from .type_definition import FLOATS, Definition, Field, functor_name, type_name
+from ..prolog.terms.types import FALSE, TRUE, Term, atom
+from .type_definition import (
+    FLOATS,
+    PLAIN_STRINGS,
+    QUOTED_STRINGS,
+    ConstantValue,
+    Definition,
+    Field,
+    functor_name,
+    type_name,
+)
 from .type_registry import Definitions
 
 _MIN_SIMILARITY = 0.75
@@ -20,6 +37,10 @@ _MIN_SIMILARITY = 0.75
 
 _MAX_NAME_CHARACTERS = 200
 """Names longer than this are not compared with similar names."""
+
+
+_MAX_LISTED_CONSTANTS = 5
+"""Maximum number of constants that an error lists."""
 
 
 class TypeSpellings:
@@ -70,24 +91,46 @@ class SlotNames:
 
     Args:
         definitions: the known message types; the installed types by default.
+        strings: form of strings in messages, until a program states its form.
 
     Attributes:
+        strings: form of strings in messages: `QUOTED_STRINGS` or `PLAIN_STRINGS`.
         events: message types by the event names that the program has given them.
         notations: the slots that messages were written with.
+        awaited: message types whose constants a program names, and whose definitions were not known when it was
+            loaded; see `awaiting`.
     """
 
-    def __init__(self, definitions: Optional[Definitions] = None):
+    def __init__(self, definitions: Optional[Definitions] = None, strings: str = QUOTED_STRINGS):
         self._definitions = definitions
+        self.strings = strings if definitions is None or strings == PLAIN_STRINGS else definitions.strings
+        self._is_form_fixed = False
         self.events: Dict[str, str] = {}
         self.notations: Cache[MessageNotation, bool] = Cache(1000, 1 << 20)
+        self.awaited: Set[str] = set()
+        self._places: Optional[Dict[str, Place]] = None
+        """Result of `awaiting` while that context is active."""
         self._installed: Optional[TypeSpellings] = None
 
     @property
     def definitions(self) -> Definitions:
-        """The known message types, loaded on first access."""
+        """The known message types with the program's form of strings, loaded on first access."""
         if self._definitions is None:
             self._definitions = Definitions()
-        return self._definitions
+        return self._definitions.with_strings(self.strings)
+
+    def fix_strings(self, strings: str) -> None:
+        """Set the form of strings that a program has, or the state of an engine.
+
+        Raises:
+            UsageError: if another program or state has fixed the other form: terms in memories and rules have it.
+        """
+        if self._is_form_fixed and strings != self.strings:
+            raise UsageError(
+                f'the strings of messages are "{strings}" in pub_sub.xml, but the program was loaded with '
+                f'"{self.strings}": start it again without its state to change the form'
+            )
+        self.strings, self._is_form_fixed = strings, True
 
     def set_events(self, events: Dict[str, str]) -> None:
         """Set the message types by the event names that the program has given them."""
@@ -105,12 +148,7 @@ class SlotNames:
         try:
             definition = self.definitions.find(message_type)
         except MessageError as error:
-            # A misspelt type is more likely than one that is not installed, so it is suggested first.
-            suggestion = self.definitions.misspelt(message_type)
-            if suggestion:
-                raise UsageError(
-                    f"there is no message type {message_type}; did you mean {suggestion}?"
-                ) from error
+            self._check_spelling(message_type)
             raise UsageError(
                 f"the slots of {message_type} are not known when this is read: {error.message}; install its package, "
                 "put its folder on ROS_PACKAGE_PATH, or write all slots in their order: a definition that publishers "
@@ -122,6 +160,71 @@ class SlotNames:
                 "write all slots in their order"
             )
         return self._make_slots(definition)
+
+    def _check_spelling(self, message_type: str) -> None:
+        """Raise an error if an unknown type is probably misspelt, which is more likely than a missing package."""
+        suggestion = self.definitions.misspelt(message_type)
+        if suggestion:
+            raise UsageError(f"there is no message type {message_type}; did you mean {suggestion}?")
+
+    def find_constant(self, name: str, constant: str, place: Place) -> Optional[Term]:
+        """Return the value of a constant of the messages with this name, or None if it is not a message.
+
+        If the definition is not known and `awaiting` is active, the value is an atom that equals no value of a
+        message.
+
+        Args:
+            name: name of the messages.
+            constant: name of the constant.
+            place: where it is named.
+
+        Raises:
+            UsageError: if the message type is unknown, or has no such constant.
+        """
+        message_type = self.events.get(name) or type_name(name)
+        if message_type is None:
+            return None
+        try:
+            definition = self.definitions.find(message_type)
+        except MessageError as error:
+            self._check_spelling(message_type)
+            if self._places is None:
+                raise UsageError(
+                    f"the constants of {message_type} are not known when this is read: {error.message}; install its "
+                    "package, put its folder on ROS_PACKAGE_PATH, or name the constant in a file of the program"
+                ) from error
+            self.awaited.add(message_type)
+            self._places.setdefault(message_type, place)
+            return atom(f"{name}{{{constant}}}")
+        values = {item.name: item.value for item in definition.constants}
+        if constant not in values:
+            # A slot without a value, which has an error of its own.
+            if any(slot.name == constant for slot in definition.fields):
+                return None
+            raise UsageError(_unknown_constant_message(name, constant, list(values)), place)
+        return scalar_term(values[constant], self.strings)
+
+    @contextmanager
+    def awaiting(self) -> Iterator[Dict[str, Place]]:
+        """Accept constants of types that are not known yet, while the files of a program are read.
+
+        Yields:
+            The place of the first constant of each of these types.
+        """
+        before, self._places = self._places, {}
+        try:
+            yield self._places
+        finally:
+            self._places = before
+
+    def pop_known(self) -> List[str]:
+        """Remove the awaited types whose definitions are known by now, and return them."""
+        # A copy: the engine may load a program in another thread.
+        known = sorted(
+            message_type for message_type in tuple(self.awaited) if message_type in self.definitions
+        )
+        self.awaited.difference_update(known)
+        return known
 
     def suggest(self, name: str) -> MessageSuggestions:
         """Return suggestions for a name that is not a message."""
@@ -156,3 +259,29 @@ def _make_slot(slot: Field, default: object) -> MessageSlot:
     message = "" if slot.definition is None else functor_name(slot.type)
     is_float = slot.type in FLOATS
     return MessageSlot(slot.name, slot.describe(), message, slot.length is not None, default, is_float)  # type: ignore[arg-type]
+
+
+def _unknown_constant_message(message: str, name: str, constants: List[str]) -> str:
+    """Return the error message for the name of a constant that does not exist."""
+    # Constants often begin with the name of a slot, which is omitted by mistake.
+    ends = [constant for constant in constants if constant.endswith(f"_{name}")]
+    hint = f"; did you mean {ends[0]}?" if len(ends) == 1 else did_you_mean(name, constants)
+    shown_constants = constants[:_MAX_LISTED_CONSTANTS]
+    omitted = f" and {len(constants) - len(shown_constants)} more" if shown_constants != constants else ""
+    known_names = f"{', '.join(shown_constants)}{omitted}" if constants else "none"
+    return f"{message} has no constant {name}{hint or f'; it has {known_names}'}"
+
+
+def scalar_term(value: ConstantValue, strings: str) -> Term:
+    """Return the term of a number, boolean or text, as that of a slot with this value in events.
+
+    Args:
+        value: the value.
+        strings: form of texts: `QUOTED_STRINGS` or `PLAIN_STRINGS`.
+    """
+    if isinstance(value, bool):
+        return TRUE if value else FALSE
+    if isinstance(value, str):
+        data = value.encode("utf-8", "surrogateescape")
+        return plain_text_atom(data) if strings == PLAIN_STRINGS else text_atom(data)
+    return value

@@ -94,7 +94,8 @@ class _Template:
             if element_type.constants:
                 template_lines += ["", f"% constants of {element_type.name}:"]
                 texts = [
-                    f"{constant.name} = {_format_one_line(constant.text)} ({constant.type})"
+                    f"{to_text(atom(element_type.functor_name))}{{{constant.name}}} = "
+                    f"{_format_one_line(constant.text)} ({constant.type})"
                     for constant in element_type.constants
                 ]
                 template_lines += [f"%   {text}" for text in texts]

@@ -9,14 +9,14 @@ The lines are parsed here instead of with ``get_types_from_msg`` of rosbags: tha
 ``wstring<=4``, gives errors no position, and in version 0.9.20 renames slots that are keywords of Python and rejects
 default values of strings without quotes. `idl_definitions` converts definitions in IDL.
 
-The events of a service (``pkg/srv/Type_Event``) are defined by the text of the ``.srv`` file: rosidl generates a
-type with the slot ``info``, and with at most one ``request`` and one ``response``. The text that ``ros2 bag`` stores
-begins with a heading ``SRV: pkg/srv/Type``.
+rosidl derives message types from services and actions: ``pkg/srv/Type_Event`` from ``Type.srv``,
+``pkg/action/Type_FeedbackMessage`` from ``Type.action`` (see `Interface`). The text that ``ros2 bag`` stores for them
+is that of the file, after a heading ``SRV: pkg/srv/Type``. Others store the derived definitions themselves.
 """
 
 import re
 from collections import deque
-from typing import Callable, Deque, Dict, List, NamedTuple, Optional, Set
+from typing import Callable, Deque, Dict, Iterator, List, NamedTuple, Optional, Set, Tuple
 
 from ..foundation.errors import MessageError, place_at_offset, quote_shortened, shorten
 from ..foundation.ros_name_checks import name_fault, ros1_type_name
@@ -27,13 +27,11 @@ from .type_definition import (
     PRIMITIVES,
     TIMES,
     WIDE_STRING_COMMENT,
-    Definition,
     lines_with_offsets,
     parse_constant,
     split_sections,
     warn_of_ignored_constants,
 )
-from .type_registry import MAX_DEFINITION_CHARACTERS, Definitions, InstalledTypes
 
 FindText = Callable[[str], Optional[str]]
 """Function that returns the definition of ``pkg/Type`` with its nested types, in ROS 2 or ROS 1 form, or None."""
@@ -66,48 +64,167 @@ builtin_interfaces/Time stamp
 char[16] client_gid
 int64 sequence_number
 """
-_BUILTIN_DEFINITIONS = {
+_GOAL_STATUS = """\
+int8 STATUS_UNKNOWN=0
+int8 STATUS_ACCEPTED=1
+int8 STATUS_EXECUTING=2
+int8 STATUS_CANCELING=3
+int8 STATUS_SUCCEEDED=4
+int8 STATUS_CANCELED=5
+int8 STATUS_ABORTED=6
+action_msgs/GoalInfo goal_info
+int8 status
+"""
+_CANCEL_GOAL = """\
+action_msgs/GoalInfo goal_info
+---
+int8 return_code
+action_msgs/GoalInfo[] goals_canceling
+"""
+BUILTIN_DEFINITIONS = {
     "builtin_interfaces/Time": _INSTANT,
     "builtin_interfaces/Duration": _INSTANT,
     "service_msgs/ServiceEventInfo": _SERVICE_EVENT_INFO,
+    "unique_identifier_msgs/UUID": "uint8[16] uuid\n",
+    "action_msgs/GoalInfo": "unique_identifier_msgs/UUID goal_id\nbuiltin_interfaces/Time stamp\n",
+    "action_msgs/GoalStatus": _GOAL_STATUS,
+    "action_msgs/GoalStatusArray": "action_msgs/GoalStatus[] status_list\n",
 }
-"""Types that definitions use without containing them."""
+"""Types of ROS 2 that definitions use without containing them, and those of all actions."""
 
+SERVICE_SYNTAX = "SRV"
+ACTION_SYNTAX = "ACTION"
 
-_EVENT_SUFFIX = "_Event"
+_SERVICE_SUFFIXES = ("_Request", "_Response", "_Event")
+_DERIVED_SUFFIXES = {
+    SERVICE_SYNTAX: _SERVICE_SUFFIXES,
+    ACTION_SYNTAX: (
+        "_Goal",
+        "_Result",
+        "_Feedback",
+        "_FeedbackMessage",
+        *(f"_SendGoal{suffix}" for suffix in _SERVICE_SUFFIXES),
+        *(f"_GetResult{suffix}" for suffix in _SERVICE_SUFFIXES),
+    ),
+}
+"""Suffixes of the message types that are derived from services and actions."""
 
-_HEADING = re.compile(r"^={20,}[ \t\r]*\n(MSG|SRV|IDL):[ \t]*(\S*)", re.MULTILINE)
+_PARTS = {SERVICE_SYNTAX: ("_Request", "_Response"), ACTION_SYNTAX: ("_Goal", "_Result", "_Feedback")}
+"""Suffixes of the types that the parts of a ``.srv`` or ``.action`` file define, in their order."""
+
+_DESCRIPTIONS = {
+    SERVICE_SYNTAX: "service {}: expected one, between request and response",
+    ACTION_SYNTAX: "action {}: expected two, between goal, result and feedback",
+}
+
+_FOLDERS = {"srv": SERVICE_SYNTAX, "action": ACTION_SYNTAX}
+"""Syntaxes of definitions by the folder in the name of a type of ROS 2, which is the suffix of files, too."""
+
+_HEADING = re.compile(r"^={20,}[ \t\r]*\n(MSG|SRV|ACTION|IDL):[ \t]*(\S*)", re.MULTILINE)
 """Beginning of the definition of another type in a text."""
 
 
-def parse_ros2_type(name: str, text: str, find: FindText, is_idl: bool = False) -> Definition:
-    """Return the type that a definition of ROS 2 describes, in ROS 1 form.
+class Interface(NamedTuple):
+    """A service or an action.
+
+    Attributes:
+        name: ``pkg/Type``.
+        syntax: syntax of its definition: `SERVICE_SYNTAX` or `ACTION_SYNTAX`.
+    """
+
+    name: str
+    syntax: str
+
+    def has_definition(self, text: str) -> bool:
+        """Return whether a text is its definition, or that of a type that is derived from it."""
+        return any(line.strip() == "---" for line in text.splitlines())
+
+    def split(self, text: str) -> Dict[str, str]:
+        """Return the definitions of all types that are derived from it.
+
+        Args:
+            text: text of the ``.srv`` or ``.action`` file.
+
+        Raises:
+            MessageError: if the text has not as many parts as it must have.
+        """
+        lines = text.splitlines(keepends=True)
+        ends = [number for number, line in enumerate(lines) if line.strip() == "---"]
+        suffixes = _PARTS[self.syntax]
+        if len(ends) != len(suffixes) - 1:
+            problem, _, expected = _DESCRIPTIONS[self.syntax].partition(": ")
+            raise MessageError(
+                f"the definition of {problem.format(shorten(self.name))} has {len(ends)} lines '---': {expected}"
+            )
+        starts = [0, *(end + 1 for end in ends)]
+        parts = {
+            f"{self.name}{suffix}": "".join(lines[start:end])
+            for suffix, start, end in zip(suffixes, starts, [*ends, len(lines)])
+        }
+        return {**self.derived_definitions(), **parts}
+
+    def derived_definitions(self) -> Dict[str, str]:
+        """Return the definitions of the derived types that do not depend on the text of the file."""
+        if self.syntax == SERVICE_SYNTAX:
+            return {f"{self.name}_Event": _format_service_event(self.name)}
+        name, goal_id = self.name, "unique_identifier_msgs/UUID goal_id\n"
+        return {
+            f"{name}_FeedbackMessage": f"{goal_id}{name}_Feedback feedback\n",
+            f"{name}_SendGoal_Request": f"{goal_id}{name}_Goal goal\n",
+            f"{name}_SendGoal_Response": "bool accepted\nbuiltin_interfaces/Time stamp\n",
+            f"{name}_SendGoal_Event": _format_service_event(f"{name}_SendGoal"),
+            f"{name}_GetResult_Request": goal_id,
+            f"{name}_GetResult_Response": f"int8 status\n{name}_Result result\n",
+            f"{name}_GetResult_Event": _format_service_event(f"{name}_GetResult"),
+        }
+
+
+def _format_service_event(name: str) -> str:
+    return f"service_msgs/ServiceEventInfo info\n{name}_Request[<=1] request\n{name}_Response[<=1] response\n"
+
+
+BUILTIN_DEFINITIONS.update(Interface("action_msgs/CancelGoal", SERVICE_SYNTAX).split(_CANCEL_GOAL))
+
+
+def find_interfaces(name: str) -> Iterator[Tuple[Interface, str]]:
+    """Yield the services and actions from which a type may be derived, with the folders of their files.
 
     Args:
-        name: ``pkg/Type``, ``pkg/msg/Type``, or ``pkg/srv/Type_Event`` for the events of a service.
-        text: the definition, including all nested types that ``find`` does not know; of a service the ``.srv`` file.
+        name: ``pkg/Type``, or ``pkg/srv/Type`` of a service or ``pkg/action/Type`` of an action.
+    """
+    stated_folder = name.split("/")[1] if name.count("/") == 2 else ""
+    name = ros1_type_name(name)
+    for folder, syntax in _FOLDERS.items():
+        for suffix in _DERIVED_SUFFIXES[syntax] if stated_folder in ("", folder) else ():
+            if name.endswith(suffix):
+                yield Interface(name[: -len(suffix)], syntax), folder
+
+
+def convert_ros2_text(name: str, text: str, find: FindText, is_idl: bool = False) -> str:
+    """Return the definition of a type of ROS 2, with those of its nested types, in ROS 1 form.
+
+    Args:
+        name: ``pkg/Type``, ``pkg/msg/Type``, or ``pkg/srv/Type_Event`` and others that are derived from a service or
+            an action.
+        text: the definition, including all nested types that ``find`` does not know; for a derived type it may be
+            that of the ``.srv`` or ``.action`` file.
         find: returns the definitions of nested types.
         is_idl: whether the text before the first heading is in IDL.
 
     Raises:
-        MessageError: if the text is not a valid definition, is too long, or names an unknown type.
+        MessageError: if the text is not a valid definition, or names an unknown type.
     """
-    is_service_event = "/srv/" in name and name.endswith(_EVENT_SUFFIX)
+    # Without a folder in its name, a type is not known to be derived.
+    is_derived = name.count("/") == 2
+    interface = next((interface for interface, _ in find_interfaces(name)), None) if is_derived else None
     name = ros1_type_name(name)
-    if len(text) > MAX_DEFINITION_CHARACTERS:
-        raise MessageError(
-            f"the definition of {shorten(name)} has {len(text)} characters: "
-            f"at most {MAX_DEFINITION_CHARACTERS} are allowed"
-        )
-    types = _read_nested_types(name, _split_by_type(name, text, is_idl, is_service_event), find)
+    types = _read_nested_types(name, _split_by_type(name, text, is_idl, interface), find)
     warn_of_ignored_constants(
         [problem for section in types.values() for problem in section.ignored_constants]
     )
     parts = [types[name].text]
     parts += [f"{'=' * 80}\nMSG: {nested}\n{types[nested].text}" for nested in types if nested != name]
-    # A registry without installed types: the nested types must be those of CDR, not types of ROS 1 with equal names.
-    registry = Definitions(InstalledTypes([], [], include_rosbags=False))
-    return registry.add(name, "".join(parts))
+    return "".join(parts)
 
 
 class _Ros2Section(NamedTuple):
@@ -125,49 +242,52 @@ class _Ros2Section(NamedTuple):
 
 
 def _split_by_type(
-    name: str, text: str, is_idl: bool = False, is_service_event: bool = False
+    name: str, text: str, is_idl: bool = False, interface: Optional[Interface] = None
 ) -> Dict[str, str]:
     """Return the definitions in a concatenated text by their types, ``pkg/Type``, in the syntax of ``.msg`` files."""
-    sections = _list_sections(name, text, "IDL" if is_idl else "SRV" if is_service_event else "MSG")
+    first_syntax = "IDL" if is_idl else "MSG"
+    if interface is not None and not is_idl and interface.has_definition(text):
+        first_syntax = interface.syntax
+    sections = _list_sections(name, text, first_syntax)
     if all(section.syntax == "MSG" for section in sections):
         return {
             ros1_type_name(type_name): section for type_name, section in split_sections(name, text).items()
         }
-    service = name[: -len(_EVENT_SUFFIX)] if is_service_event else name
     texts: Dict[str, str] = {}
     for section in sections:
-        if section.syntax == "SRV" and section.text.strip():
-            texts.update(_split_service(service if section.type == name else section.type, section.text))
-        elif section.syntax == "MSG":
+        if section.syntax == "MSG":
             texts.setdefault(section.type, section.text)
-    if is_idl:
-        # Types that this one does not use may be unreadable.
-        requested = [f"{service}_Request", f"{service}_Response"] if is_service_event else [name]
-    else:
+        elif section.syntax in _PARTS and section.text.strip():
+            owner = Interface(section.type, section.syntax)
+            texts.update((interface if interface and section.type == name else owner).split(section.text))
+    if not is_idl:
         requested = [section.type for section in sections if section.syntax == "IDL"]
-    if requested:
-        # The other sections are replaced by empty lines, so that line numbers stay the same.
-        idl_text = "".join(
-            section.text if section.syntax == "IDL" else "\n" * section.line_count for section in sections
-        )
-        for type_name, type_text in convert_idl(name, idl_text, requested).items():
-            texts.setdefault(type_name, type_text)
-    if is_service_event:
-        service_name = service.rpartition("/")[2]
-        texts.setdefault(
-            name,
-            "service_msgs/ServiceEventInfo info\n"
-            f"{service_name}_Request[<=1] request\n{service_name}_Response[<=1] response\n",
-        )
-    return texts
+    # Types that this one does not use may be unreadable.
+    elif interface is None:
+        requested = [name]
+    else:
+        requested = [f"{interface.name}{suffix}" for suffix in _PARTS[interface.syntax]]
+    derived = {} if interface is None else interface.derived_definitions()
+    return {**derived, **_convert_idl_sections(name, sections, requested), **texts}
+
+
+def _convert_idl_sections(name: str, sections: "List[_TextSection]", requested: List[str]) -> Dict[str, str]:
+    """Return the definitions of types that sections define in IDL, in the syntax of ``.msg`` files."""
+    if not requested:
+        return {}
+    # The other sections are replaced by empty lines, so that line numbers stay the same.
+    idl_text = "".join(
+        section.text if section.syntax == "IDL" else "\n" * section.line_count for section in sections
+    )
+    return convert_idl(name, idl_text, requested)
 
 
 class _TextSection(NamedTuple):
     """Definition of one type in a concatenated text.
 
     Attributes:
-        syntax: ``MSG``, ``SRV`` or ``IDL``.
-        type: name of the type or service.
+        syntax: ``MSG``, ``SRV``, ``ACTION`` or ``IDL``.
+        type: name of the type, service or action.
         text: the definition.
         line_count: number of lines, including those of the heading.
     """
@@ -191,21 +311,6 @@ def _list_sections(name: str, text: str, syntax: str) -> List[_TextSection]:
     return sections
 
 
-def _split_service(service: str, text: str) -> Dict[str, str]:
-    """Return the types of the request and the response of a service, from the text of its ``.srv`` file."""
-    lines = text.splitlines(keepends=True)
-    separators = [number for number, line in enumerate(lines) if line.strip() == "---"]
-    if len(separators) != 1:
-        raise MessageError(
-            f"the definition of service {shorten(service)} has {len(separators)} lines '---': expected one, between "
-            "request and response"
-        )
-    return {
-        f"{service}_Request": "".join(lines[: separators[0]]),
-        f"{service}_Response": "".join(lines[separators[0] + 1 :]),
-    }
-
-
 def _read_nested_types(name: str, texts: Dict[str, str], find: FindText) -> Dict[str, _Ros2Section]:
     """Parse the definitions of a type and of all types nested in it."""
     types: Dict[str, _Ros2Section] = {}
@@ -215,7 +320,7 @@ def _read_nested_types(name: str, texts: Dict[str, str], find: FindText) -> Dict
         if type_name in types:
             continue
         if type_name not in texts:
-            text = _BUILTIN_DEFINITIONS.get(type_name) or find(type_name)
+            text = BUILTIN_DEFINITIONS.get(type_name) or find(type_name)
             if text is None:
                 raise MessageError(
                     f"the type {shorten(type_name)} is not defined in the bag or on this system"

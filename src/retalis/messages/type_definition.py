@@ -88,6 +88,9 @@ class SerializationFormat(Enum):
     """Plain CDR, that of ROS 2; see `cdr_decoder`."""
 
 
+QUOTED_STRINGS, PLAIN_STRINGS = STRING_FORMS = ("quoted", "plain")
+"""Forms of strings in terms: atoms with double quotes inside, as in the original, and atoms without them."""
+
 WIDE_STRING_COMMENT = "# wstring"
 """Comment of a ``string`` that is a ``wstring`` in ROS 2, in definitions that were converted from ROS 2."""
 
@@ -139,6 +142,7 @@ class Field(NamedTuple):
         length: None for a single value, `VARIABLE_LENGTH` or the number of elements for an array.
         definition: the definition of a ``pkg/Type``, None for built-in types.
         is_wide: whether strings are of type ``wstring`` in ROS 2.
+        is_plain: whether strings are atoms without double quotes; see `Definition.with_strings`.
     """
 
     name: str
@@ -146,6 +150,7 @@ class Field(NamedTuple):
     length: Optional[int] = None
     definition: Optional["Definition"] = None
     is_wide: bool = False
+    is_plain: bool = False
 
     @property
     def is_bytes(self) -> bool:
@@ -237,6 +242,7 @@ class Definition:
         text: the text of the definition, without those of nested types.
         event: name of its event terms if it differs from ``pkg__0__Type``.
         md5sum: checksum that identifies the version of the type in ROS.
+        has_plain_strings: whether strings, also those of nested types, are atoms without double quotes.
         measure: sizes of its messages, and its complexity.
 
     Raises:
@@ -263,6 +269,11 @@ class Definition:
         self.text = text
         self.event = event
         self.measure = measure_of_slots(fields)
+        self.has_plain_strings: bool = any(
+            slot.is_plain if slot.definition is None else slot.definition.has_plain_strings for slot in fields
+        )
+        self._twin: Optional[Definition] = None
+        """The same definition with the other form of strings, when it has been needed."""
         self.md5sum = md5(_checksum_text(self).encode()).hexdigest()
 
     def describe_constants(self) -> List[str]:
@@ -334,8 +345,38 @@ class Definition:
             return self
         return Definition(self.name, self.fields, self._all_constants, self.text, event)
 
+    def with_strings(self, strings: str) -> "Definition":
+        """Return the same definition with another form of strings, also of those in nested types.
+
+        Each call returns the same object.
+
+        >>> definitions = Definitions()
+        >>> text = definitions.find("std_msgs/String").with_strings("plain")
+        >>> definitions.decoder(text).decode(bytes([4, 0, 0, 0]) + b"anna")[1]
+        atom('anna')
+
+        Args:
+            strings: `QUOTED_STRINGS` or `PLAIN_STRINGS`.
+        """
+        if self.has_plain_strings == (strings == PLAIN_STRINGS):
+            return self
+        if self._twin is None:
+            fields = tuple(_with_strings(slot, strings) for slot in self.fields)
+            # A type without strings is the same in both forms.
+            if fields == self.fields:
+                return self
+            self._twin = Definition(self.name, fields, self._all_constants, self.text, self.event)
+        return self._twin
+
     def __repr__(self) -> str:
         return f"Definition({self.name!r}, md5sum={self.md5sum!r})"
+
+
+def _with_strings(slot: Field, strings: str) -> Field:
+    """Return a slot with another form of strings."""
+    if slot.definition is not None:
+        return slot._replace(definition=slot.definition.with_strings(strings))
+    return slot._replace(is_plain=strings == PLAIN_STRINGS) if slot.type == "string" else slot
 
 
 def functor_name(type_name: str) -> str:
@@ -371,6 +412,18 @@ def _checksum_text(definition: Definition) -> str:
             # genmsg leaves the array length of a nested type out of the checksum.
             lines.append(f"{slot.definition.md5sum} {slot.name}")
     return "\n".join(lines).strip()
+
+
+def service_checksum(request: Definition, response: Definition) -> str:
+    """Return the checksum of the service with these types, as genmsg computes it.
+
+    >>> find = Definitions().find
+    >>> service_checksum(find("std_srvs/Trigger_Request"), find("std_srvs/Trigger_Response"))
+    '937c9679a518e3a18d831e57125ea522'
+    """
+    from hashlib import md5  # noqa: PLC0415 - see `Definition`
+
+    return md5((_checksum_text(request) + _checksum_text(response)).encode()).hexdigest()
 
 
 MAX_EMPTY_ELEMENTS = 10_000

@@ -11,6 +11,7 @@ so that this package and rospy cannot read the same bytes as different messages.
 
 import os
 import sys
+from copy import copy
 from difflib import get_close_matches
 from itertools import zip_longest
 from pathlib import Path
@@ -31,15 +32,21 @@ from typing import (
 from ..foundation.bounded_caches import Cache
 from ..foundation.errors import MessageError, shorten
 from ..foundation.ros_name_checks import ros1_type_name, type_fault
+from ..foundation.similar_names import closest_name
+from .action_events import actionlib_name, find_action_event
 from .cdr_decoder import CdrDecoder
 from .cdr_encoder import CdrEncoder
 from .decoder import Decoder
 from .encoder import Encoder
+from .ros2_definitions import FindText, convert_ros2_text, find_interfaces
 from .type_definition import (
     HEADER,
     HEADER_NAMES,
     MAX_EMPTY_ELEMENTS,
     MAX_TYPE_DEPTH,
+    PLAIN_STRINGS,
+    QUOTED_STRINGS,
+    SEPARATOR,
     Definition,
     Field,
     SerializationFormat,
@@ -113,11 +120,14 @@ class InstalledType(NamedTuple):
         text: the definition; that of a generated class includes those of nested types.
         source: file that contains it, or ``rosbags``.
         generated: the generated class that the definition comes from, or None.
+        is_derived: whether the type is derived from a service or an action of ROS 2; the text is in the syntax of
+            ROS 2 then, and includes the other types that are derived from it.
     """
 
     text: str
     source: str
     generated: Optional[GeneratedClass] = None
+    is_derived: bool = False
 
 
 class InstalledTypes:
@@ -129,7 +139,8 @@ class InstalledTypes:
     2. the classes that genpy has generated, which rospy uses, too;
     3. ``msg/*.msg`` files of packages under ``ROS_PACKAGE_PATH``, ``CMAKE_PREFIX_PATH``, ``/opt/ros`` and
        ``/usr/share``;
-    4. the types of the package ``rosbags``, if that is installed.
+    4. ``srv/*.srv`` and ``action/*.action`` files of the same folders, from which ROS 2 derives types;
+    5. the types of the package ``rosbags``, if that is installed.
 
     A class is inspected only if there is a file ``pkg/msg/_Type.py`` on the module path. Other nodes choose the names
     of types, and must not make this process import modules that do not define messages.
@@ -172,6 +183,11 @@ class InstalledTypes:
             names.update(_list_packages_with_messages(folder))
         return sorted(names.union(_list_rosbags_types()) if self._include_rosbags else names)
 
+    def interfaces(self, folder_name: str) -> List[str]:
+        """Return the names of the services (``srv``) or actions (``action``) of all packages, ``pkg/Type``."""
+        names = {*self._extra_folders.interfaces(folder_name), *self._folders.interfaces(folder_name)}
+        return sorted(names)
+
     def text(self, name: str) -> Optional[Tuple[str, str]]:
         """Return the text of a type and its source, or None if the type is not installed.
 
@@ -199,25 +215,46 @@ class InstalledTypes:
                 # Messages can be decoded without the class, so another definition of the type is searched first.
                 import_error = error
         if installed_type is None:
-            installed_type = self._folders.read(package, type_name)
+            installed_type = self._folders.read(package, type_name) or self._read_derived(name)
         if installed_type is None and self._include_rosbags:
             installed_type = _read_rosbags_type(package, type_name)
         if installed_type is None and import_error is not None:
             raise import_error
         return installed_type
 
+    def _read_derived(self, name: str) -> Optional[InstalledType]:
+        """Return the definition of a type that is derived from a service or an action, or None if there is none."""
+        for interface, folder in find_interfaces(name):
+            package, _, interface_name = interface.name.partition("/")
+            for folders in (self._extra_folders, self._folders):
+                installed_interface = folders.read(package, interface_name, folder)
+                if installed_interface is None:
+                    continue
+                text, source = installed_interface.text, installed_interface.source
+                try:
+                    texts = interface.split(text)
+                except MessageError as error:
+                    raise MessageError(f"{source}: {error.message}") from error
+                parts = [f"{SEPARATOR}\nMSG: {type_name}\n{texts[type_name]}" for type_name in texts]
+                return InstalledType("\n".join([texts[name], *parts]), source, is_derived=True)
+        return None
+
     def _inspect(self, package: str, type_name: str) -> Optional[InstalledType]:
         if self._inspect_class is None:
             return None
-        module = os.path.join(package, "msg", f"_{type_name}.py")
-        if not any(os.path.isfile(os.path.join(folder, module)) for folder in self._module_folders):
+        modules = [os.path.join(package, "msg", f"_{type_name}.py")]
+        service, _, part = type_name.rpartition("_")
+        if part in ("Request", "Response"):
+            modules.append(os.path.join(package, "srv", f"_{service}.py"))
+        paths = (os.path.join(folder, module) for folder in self._module_folders for module in modules)
+        if not any(map(os.path.isfile, paths)):
             return None
         generated = self._inspect_class(f"{package}/{type_name}")
         return None if generated is None else InstalledType(generated.text, generated.source, generated)
 
 
 class _PackageFolders:
-    """Folders that contain packages with ``.msg`` files.
+    """Folders that contain packages with ``.msg``, ``.srv`` and ``.action`` files.
 
     A folder may contain packages, contain them in nested folders (the ``src`` of a workspace), or be a package.
     """
@@ -233,21 +270,36 @@ class _PackageFolders:
             names.update(_list_packages_with_messages(folder))
         return names
 
-    def message_folders(self, package: str) -> Iterator[str]:
-        """Yield the paths that the ``msg`` folder of a package can have."""
+    def interfaces(self, folder_name: str) -> Iterator[str]:
+        """Yield the names of the services (``srv``) or actions (``action``) of all packages, ``pkg/Type``."""
+        packages = [os.path.join(folder, name) for folder in self._folders for name in _list_names(folder)]
+        for path in (*self._folders, *packages, *self._find_nested_packages().values()):
+            for name in _list_names(os.path.join(path, folder_name)):
+                type_name, suffix = os.path.splitext(name)
+                if suffix == f".{folder_name}":
+                    yield f"{os.path.basename(path.rstrip('/'))}/{type_name}"
+
+    def message_folders(self, package: str, folder_name: str = "msg") -> Iterator[str]:
+        """Yield the paths that the ``msg`` folder of a package can have, or another folder of definitions."""
         for folder in self._folders:
-            yield os.path.join(folder, package, "msg")
+            yield os.path.join(folder, package, folder_name)
             # Entries of ROS_PACKAGE_PATH often are packages.
             if os.path.basename(folder.rstrip("/")) == package:
-                yield os.path.join(folder, "msg")
+                yield os.path.join(folder, folder_name)
         nested = self._find_nested_packages().get(package)
         if nested is not None:
-            yield os.path.join(nested, "msg")
+            yield os.path.join(nested, folder_name)
 
-    def read(self, package: str, type_name: str) -> Optional[InstalledType]:
-        """Return the definition of a type, or None if no folder contains it."""
-        for folder in self.message_folders(package):
-            path = os.path.join(folder, f"{type_name}.msg")
+    def read(self, package: str, type_name: str, folder_name: str = "msg") -> Optional[InstalledType]:
+        """Return the definition of a type, service or action, or None if no folder contains it.
+
+        Args:
+            package: name of the package.
+            type_name: name of the type.
+            folder_name: ``msg``, ``srv`` or ``action``.
+        """
+        for folder in self.message_folders(package, folder_name):
+            path = os.path.join(folder, f"{type_name}.{folder_name}")
             if os.path.isfile(path):
                 return InstalledType(Path(path).read_text(encoding="utf-8", errors="replace"), path)
         return None
@@ -356,7 +408,8 @@ def _read_rosbags_type(package: str, type_name: str) -> Optional[InstalledType]:
         if type(error).__name__ != "TypesysError":
             raise
         return None
-    return InstalledType(text, "rosbags")
+    # Versions for Python 3.8 write the constants of type byte so, and its slots as byte.
+    return InstalledType(f"\n{text}".replace("\noctet ", "\nbyte ")[1:], "rosbags")
 
 
 _ALIASES = {"tf/tfMessage": "tf2_msgs/TFMessage"}
@@ -364,14 +417,20 @@ _ALIASES = {"tf/tfMessage": "tf2_msgs/TFMessage"}
 
 _FALLBACK_DEFINITIONS = {
     "tf2_msgs/TFMessage": "geometry_msgs/TransformStamped[] transforms\n",
-    "retalis/GraphChange": "string kind\nstring node\nstring topic\nstring detail\n",
+    "std_srvs/Empty_Request": "",
+    "std_srvs/Empty_Response": "",
+    "std_srvs/SetBool_Request": "bool data\n",
+    "std_srvs/SetBool_Response": "bool success\nstring message\n",
+    "std_srvs/Trigger_Request": "",
+    "std_srvs/Trigger_Response": "bool success\nstring message\n",
+    "retalis/GraphChange": "string kind\nstring node\nstring name\nstring detail\n",
 }
-"""Types that every robot publishes, and that some systems do not install as text (Debian, ``rosbags``)."""
+"""Types that every robot has, and that some systems do not install as text (Debian, ``rosbags``)."""
 
-_TypeKey = Tuple[str, ...]
+_TypeKey = Tuple[Union[str, bool], ...]
 """Name of a type with its text or its checksum."""
 
-_DecoderKey = Tuple[str, str, str, str]
+_DecoderKey = Tuple[str, str, str, bool, str]
 """Type, checksum and name of the events."""
 
 MAX_DEFINITION_CHARACTERS = 1_000_000
@@ -413,20 +472,51 @@ class Definitions:
     Args:
         installed: source of installed types; searches the standard folders by default.
         max_empty_elements: limit for zero-byte elements in a message (elements of arrays whose type has no slots).
+        strings: form of strings in terms: `QUOTED_STRINGS` or `PLAIN_STRINGS`.
+
+    Attributes:
+        strings: see above.
     """
 
     def __init__(
-        self, installed: Optional[InstalledTypes] = None, max_empty_elements: int = MAX_EMPTY_ELEMENTS
+        self,
+        installed: Optional[InstalledTypes] = None,
+        max_empty_elements: int = MAX_EMPTY_ELEMENTS,
+        strings: str = QUOTED_STRINGS,
     ):
+        self.strings = strings
         self._installed = InstalledTypes() if installed is None else installed
         self._max_empty_elements = max_empty_elements
-        self._characters = 0
+        # A dictionary, because it is shared by the registries of both forms of strings.
+        self._characters: Dict[str, int] = {}
         self._added: Dict[str, Definition] = {}
         self._nested: Dict[str, Definition] = {}
         self._resolved: Dict[str, Definition] = {}
         self._by_text: Cache[_TypeKey, Definition] = Cache(1000, 32 << 20, 32 << 20)
         self._decoders: Cache[_DecoderKey, Decoder] = Cache(1000, 32 << 20, 32 << 20)
         self._encoders: Cache[_TypeKey, Encoder] = Cache(1000, 32 << 20, 32 << 20)
+
+    def with_strings(self, strings: str) -> "Definitions":
+        """Return the same types with another form of strings in terms.
+
+        Types that are added to one of the two are known to the other.
+
+        >>> definitions = Definitions().with_strings("plain")
+        >>> definitions.decoder("std_msgs/String").decode(bytes([4, 0, 0, 0]) + b"anna")[1]
+        atom('anna')
+
+        Args:
+            strings: `QUOTED_STRINGS` or `PLAIN_STRINGS`.
+        """
+        if strings == self.strings:
+            return self
+        twin = copy(self)
+        twin.strings = strings
+        return twin
+
+    def _in_form(self, definition: Definition) -> Definition:
+        """Return a definition with the form of strings that the types have here."""
+        return definition.with_strings(PLAIN_STRINGS) if self.strings == PLAIN_STRINGS else definition
 
     def add(self, name: str, text: str, md5sum: str = "") -> Definition:
         """Add a type from its text, which may contain the texts of nested types (``MSG: pkg/Type``).
@@ -447,7 +537,7 @@ class Definitions:
         definition = self._read(name, text, md5sum)
         if name not in self._added:
             self._register(definition, len(text))
-        return definition
+        return self._in_form(definition)
 
     def _read(self, name: str, text: str, md5sum: str) -> Definition:
         """Parse a text, or return its cached definition; the type is not registered by its name."""
@@ -459,7 +549,8 @@ class Definitions:
         # Publishers of one topic send the same text with each connection.
         definition = self._by_text.get((name, text))
         if definition is None:
-            definition = _Resolver(self, self._installed, split_sections(name, text)).resolve(name)
+            registry = self.with_strings(QUOTED_STRINGS)
+            definition = _Resolver(registry, self._installed, split_sections(name, text)).resolve(name)
             warn_of_ignored_constants(
                 [
                     problem
@@ -484,13 +575,14 @@ class Definitions:
             MessageError: if too many types were added.
         """
         # Registered types are never removed, so their count must be bounded: each publisher can send new ones.
-        if len(self._added) >= MAX_ADDED_TYPES or self._characters + characters > MAX_ADDED_CHARACTERS:
+        total = sum(self._characters.values())
+        if len(self._added) >= MAX_ADDED_TYPES or total + characters > MAX_ADDED_CHARACTERS:
             raise MessageError(
-                f"{definition.name} is not added: {len(self._added)} message types with {self._characters} "
+                f"{definition.name} is not added: {len(self._added)} message types with {total} "
                 f"characters were added before: at most {MAX_ADDED_TYPES} types with {MAX_ADDED_CHARACTERS} "
                 "characters are allowed"
             )
-        self._characters += characters
+        self._characters[definition.name] = characters
         self._added[definition.name] = definition
         for nested in definition.dependencies():
             self._nested.setdefault(nested.name, nested)
@@ -548,6 +640,7 @@ class Definitions:
         # Registered under the publisher's name, not under the requested one, which may belong to another package.
         if known is None and sent not in self:
             self._register(definition, len(text))
+        definition = self._in_form(definition)
         return definition if sent == name else definition.renamed(name)
 
     def find(self, name: str) -> Definition:
@@ -562,8 +655,9 @@ class Definitions:
         name = ros1_type_name(name)
         definition = self._added.get(name) or self._resolved.get(name)
         if definition is None:
-            definition = self._resolved[name] = _Resolver(self, self._installed, {}).resolve(name)
-        return definition
+            registry = self.with_strings(QUOTED_STRINGS)
+            definition = self._resolved[name] = _Resolver(registry, self._installed, {}).resolve(name)
+        return self._in_form(definition)
 
     def __contains__(self, name: object) -> bool:
         """Return whether `find` finds a type."""
@@ -579,10 +673,16 @@ class Definitions:
         serialization_format: SerializationFormat = SerializationFormat.ROS1,
     ) -> Decoder:
         """Return the decoder of a type for messages in a format, which is compiled once."""
-        definition = self.find(definition) if isinstance(definition, str) else definition
+        definition = self.find(definition) if isinstance(definition, str) else self._in_form(definition)
         is_cdr = serialization_format is SerializationFormat.CDR
         # The checksum does not include comments, and these tell wide strings.
-        key = (definition.name, definition.md5sum, definition.event, definition.full_text if is_cdr else "")
+        key = (
+            definition.name,
+            definition.md5sum,
+            definition.event,
+            definition.has_plain_strings,
+            definition.full_text if is_cdr else "",
+        )
         decoder = self._decoders.get(key)
         if decoder is None:
             new_decoder = CdrDecoder(definition) if is_cdr else Decoder(definition, self._max_empty_elements)
@@ -602,9 +702,14 @@ class Definitions:
         >>> definitions.encoder(bumper) is definitions.encoder("my_robot/Bumper")
         True
         """
-        definition = self.find(definition) if isinstance(definition, str) else definition
+        definition = self.find(definition) if isinstance(definition, str) else self._in_form(definition)
         is_cdr = serialization_format is SerializationFormat.CDR
-        key = (definition.name, definition.md5sum, definition.full_text if is_cdr else "")
+        key = (
+            definition.name,
+            definition.md5sum,
+            definition.has_plain_strings,
+            definition.full_text if is_cdr else "",
+        )
         encoder = self._encoders.get(key)
         if encoder is None:
             size = _BYTES_PER_SLOT * (definition.measure.slot_count + 2) + len(key[-1])
@@ -630,6 +735,10 @@ class Definitions:
         name = ros1_type_name(name)
         if name in self:
             return ""
+        event = find_action_event(name)
+        if event is not None:
+            action = self.misspelt_interface(event.action, "action")
+            return event._replace(action=action).type_name if action else ""
         package, _, type_name = name.rpartition("/")
         packages = self._installed.packages()
         # A bare name is searched in all packages, but must match exactly except for case.
@@ -648,6 +757,29 @@ class Definitions:
             if matches and (candidate == package or matches[0] == type_name):
                 return f"{candidate}/{matches[0]}"
         return ""
+
+    def misspelt_interface(self, name: str, folder_name: str) -> str:
+        """Return a known service or action with a similar name, as a suggestion for an unknown one.
+
+        >>> Definitions().misspelt_interface("my_robot/Unknown", "srv")
+        ''
+
+        Args:
+            name: name of the service or action, ``pkg/Type``.
+            folder_name: ``srv`` or ``action``.
+
+        Returns:
+            The similar name; "" if the service or action is known, or there is none.
+        """
+        suffix = "_Goal" if folder_name == "action" else "_Request"
+        if f"{name}{suffix}" in self:
+            return ""
+        names = [
+            type_name[: -len(suffix)]
+            for type_name in (*_FALLBACK_DEFINITIONS, *self._added)
+            if type_name.endswith(suffix)
+        ]
+        return closest_name(name, [*names, *self._installed.interfaces(folder_name)], 0.8)
 
     def _find_most_similar(self, package: str, type_name: str, cutoff: float) -> List[str]:
         """Return the type of a package with the most similar name, ignoring case, as a list of at most one name."""
@@ -689,7 +821,24 @@ class Definitions:
         True
         """
         name = ros1_type_name(name)
-        return self._added.get(name) or self._nested.get(name)
+        definition = self._added.get(name) or self._nested.get(name)
+        return None if definition is None else self._in_form(definition)
+
+
+def parse_ros2_type(name: str, text: str, find: FindText, is_idl: bool = False) -> Definition:
+    """Return the type that a definition of ROS 2 describes, in ROS 1 form; see `convert_ros2_text`.
+
+    Raises:
+        MessageError: if the text is not a valid definition, is too long, or names an unknown type.
+    """
+    if len(text) > MAX_DEFINITION_CHARACTERS:
+        raise MessageError(
+            f"the definition of {shorten(ros1_type_name(name))} has {len(text)} characters: "
+            f"at most {MAX_DEFINITION_CHARACTERS} are allowed"
+        )
+    # A registry without installed types: the nested types must be those of CDR, not types of ROS 1 with equal names.
+    registry = Definitions(InstalledTypes([], [], include_rosbags=False))
+    return registry.add(name, convert_ros2_text(name, text, find, is_idl))
 
 
 class _Resolver:
@@ -754,21 +903,44 @@ class _Resolver:
             return parse(name, _FALLBACK_DEFINITIONS[name], self._resolve_nested)
         if name in _ALIASES:
             return self.resolve(_ALIASES[name]).renamed(name)
+        event = find_action_event(name)
+        if event is not None:
+            return parse(name, event.text, self._resolve_nested)
+        actionlib_definition = self._find_actionlib_type(name)
+        if actionlib_definition is not None:
+            return actionlib_definition.renamed(name)
         raise MessageError(
             f"no definition of the message type {shorten(name)} is installed or has been received"
         )
 
+    def _find_actionlib_type(self, name: str) -> Optional[Definition]:
+        """Return the type of actionlib that a program names as in ROS 2, if there is such an action."""
+        other_name = actionlib_name(name)
+        if other_name is None:
+            return None
+        try:
+            return self.resolve(other_name)
+        except MessageError:
+            return None
+
     def read_installed(self, name: str, installed_type: InstalledType) -> Definition:
         """Parse the definition of an installed type."""
-        sections = split_sections(name, installed_type.text)
+        text = installed_type.text
+        if installed_type.is_derived:
+            text = convert_ros2_text(name, text, self._find_text)
+        sections = split_sections(name, text)
         # The text of a generated class contains the nested definitions as well, which take precedence within it.
         if len(sections) > 1:
             definition = _Resolver(self.registry, self.installed, sections, self.in_progress).read(name)
         else:
-            definition = parse(name, installed_type.text, self._resolve_nested, installed_type.source)
+            definition = parse(name, text, self._resolve_nested, installed_type.source)
         if installed_type.generated is not None:
             installed_type.generated.check(definition)
         return definition
+
+    def _find_text(self, name: str) -> Optional[str]:
+        installed_type = self.installed.find(name)
+        return None if installed_type is None else installed_type.text
 
     def _resolve_nested(self, written_name: str, package: str) -> Definition:
         """Return the definition of a nested type, by the name that a type of ``package`` uses for it."""

@@ -6,6 +6,7 @@ several times its usual interval, so that slow topics need no configuration.
 """
 
 import logging
+import os
 import threading
 import time
 from enum import Enum, IntEnum
@@ -13,7 +14,8 @@ from typing import Any, Callable, Collection, Dict, List, NamedTuple, Optional, 
 
 from ..engine.engine_status import RuleStatus, Status
 from ..engine.runtime.problem_reports import Reports
-from ..foundation.errors import MessageError, RetalisError, format_count, printable, shorten
+from ..events.language.rule_labels import rule_title
+from ..foundation.errors import MessageError, RetalisError, format_count, line_of, printable, shorten
 from ..messages.encoder import Encoder
 from ..messages.message_dictionaries import make_message_term
 from ..messages.type_registry import Definitions
@@ -31,6 +33,9 @@ MAX_VALUE_CHARACTERS = 1000
 
 MAX_LARGEST_RULES = 5
 """Number of rules with the largest buffers that a status names."""
+
+MAX_NAMED_RULES = 3
+"""Maximum number of rules with errors that the message of a status names."""
 
 RECENT_SECONDS = 10.0
 """Seconds for which an error or a loss raises the level."""
@@ -59,9 +64,10 @@ class InputRole(Enum):
 
     Attributes:
         NEEDED: a topic that a program or a user has named: a missing publisher or a silence is reported.
-        LINK: the events between the two nodes: a publisher is required, but a silence is normal.
+        LINK: the events between the two nodes, or those of an action: a publisher is required, but a silence is
+            normal.
         OPTIONAL: a topic that needs no publisher.
-        UNREAD: a topic that the node subscribes to by default, and that the program does not read.
+        UNREAD: a topic that the program does not read, and has not named itself.
     """
 
     NEEDED = 0
@@ -245,19 +251,30 @@ class EngineHealth:
 
     def __init__(self, warn_after: float, error_after: float):
         self._trends = CounterTrends()
-        self._warn_after = warn_after
-        self._error_after = error_after
+        self.set_work_limits(warn_after, error_after)
         self._first_seen: Dict[Tuple[str, int], float] = {}
 
-    def evaluate(self, now: float, status: Status) -> List[Health]:
-        """Return the status of each part of the engine."""
+    def set_work_limits(self, warn_after: float, error_after: float) -> None:
+        """Set the seconds after which work in progress is a warning and an error; see `EngineHealth`."""
+        self._warn_after = warn_after
+        self._error_after = error_after
+
+    def evaluate(self, now: float, status: Status, unstamped: Collection[str] = ()) -> List[Health]:
+        """Return the status of each part of the engine.
+
+        Args:
+            now: time of the monotonic clock in seconds.
+            status: status of the engine.
+            unstamped: names of events whose messages have no stamp: they wait for the engine, and have no lag.
+        """
         healths = [
             self._evaluate_queue(now, status),
             self._evaluate_work(status),
             self._evaluate_rules(now, status),
             self._evaluate_queries(now, status),
             *self._evaluate_transforms(now, status),
-            *_evaluate_lags(status),
+            *self._evaluate_services(now, status),
+            *_evaluate_lags(status, unstamped),
         ]
         self._trends.remove_unrecorded()
         return healths
@@ -309,18 +326,23 @@ class EngineHealth:
         errors = sum(rule.errors for rule in failing)
         has_recent_errors = self._trends.record(now, "errors", errors).is_recent(now)
         values = [
-            (_name_rule(rule), format_count(rule.errors, "error")) for rule in failing[:MAX_STATUS_VALUES]
+            (_rule_key(rule), format_count(rule.errors, "error")) for rule in failing[:MAX_STATUS_VALUES]
         ]
         if len(failing) > MAX_STATUS_VALUES:
             values.append(("further rules", str(len(failing) - MAX_STATUS_VALUES)))
         # Buffers of partial matches are the usual reason for growing memory.
-        largest = sorted(status.rules, key=lambda rule: -rule.bytes)[:MAX_LARGEST_RULES]
-        values += [(f"held by {_name_rule(rule)}", _format_buffers(rule)) for rule in largest if rule.waiting]
+        by_size = sorted(status.rules, key=lambda rule: -rule.bytes)
+        largest = [rule for rule in by_size[:MAX_LARGEST_RULES] if rule.waiting]
+        values += [(f"held by {_rule_key(rule)}", _format_buffers(rule)) for rule in largest]
+        values += _name_unlabelled([*failing[:MAX_STATUS_VALUES], *largest])
         total = len(status.rules) + status.left_out.rules
         if not failing:
             return Health("rules", Level.OK, f"{format_count(total, 'rule')} without errors", values)
         bound = " or more" if len(failing) == len(status.rules) < total else ""
         text = f"{format_count(errors, 'error')} in {format_count(len(failing), 'rule')}{bound}"
+        if len(failing) <= MAX_NAMED_RULES:
+            titles = [rule_title(rule.name, os.path.basename(line_of(rule.place))) for rule in failing]
+            text = f"{text}: {', '.join(titles)}"
         return Health("rules", Level.ERROR if has_recent_errors else Level.WARN, text, values)
 
     def _evaluate_queries(self, now: float, status: Status) -> Health:
@@ -359,17 +381,32 @@ class EngineHealth:
             return [Health("transforms", Level.WARN, "transforms are refused", values)]
         return [Health("transforms", Level.OK, format_count(transforms.frames, "frame"), values)]
 
+    def _evaluate_services(self, now: float, status: Status) -> List[Health]:
+        services = status.services
+        if services is None:
+            return []
+        values = [
+            ("calls", str(services.calls)),
+            ("under way", str(services.under_way)),
+            ("failed", str(services.failed)),
+            ("refused", str(services.refused)),
+        ]
+        if self._trends.record(now, "services", services.failed).is_recent(now):
+            return [Health("services", Level.WARN, "calls of services fail", values)]
+        return [Health("services", Level.OK, format_count(services.calls, "call"), values)]
 
-def _evaluate_lags(status: Status) -> List[Health]:
+
+def _evaluate_lags(status: Status, unstamped: Collection[str]) -> List[Health]:
     """Return the status of the lags that alarms wait for; none if no alarm of the program waits for a topic."""
     if not status.lags:
         return []
-    longest_first = sorted(status.lags, key=lambda status: -status.lag)[:MAX_STATUS_VALUES]
+    lags = [lag for lag in status.lags if lag.event.rpartition("/")[0] not in unstamped]
+    longest_first = sorted(lags, key=lambda status: -status.lag)[:MAX_STATUS_VALUES]
     values = [(f"lag of {event} (s)", f"{lag / 1e9:.3f}") for event, lag in longest_first]
-    delayed = sorted(status.rules, key=lambda rule: -rule.delay)[:MAX_STATUS_VALUES]
-    values += [
-        (f"delay of {_name_rule(rule)} (s)", f"{rule.delay / 1e9:.3f}") for rule in delayed if rule.delay
-    ]
+    by_delay = sorted(status.rules, key=lambda rule: -rule.delay)
+    delayed = [rule for rule in by_delay[:MAX_STATUS_VALUES] if rule.delay]
+    values += [(f"delay of {_rule_key(rule)} (s)", f"{rule.delay / 1e9:.3f}") for rule in delayed]
+    values += _name_unlabelled(delayed)
     longest_delay = max((rule.delay for rule in status.rules), default=0)
     return [Health("late events", Level.OK, f"alarms wait up to {longest_delay / 1e9:.3f} s", values)]
 
@@ -378,8 +415,14 @@ def _format_buffers(rule: RuleStatus) -> str:
     return f"{format_count(rule.waiting, 'item')}, {format_count(rule.keys, 'key')}, about {rule.bytes / 1e6:.1f} MB"
 
 
-def _name_rule(rule: RuleStatus) -> str:
+def _rule_key(rule: RuleStatus) -> str:
+    """Return the key of a rule in values, which other programs look up; without a label, it is the place."""
     return " ".join(part for part in (rule.label, rule.place) if part) or rule.text
+
+
+def _name_unlabelled(rules: Sequence[RuleStatus]) -> List[Tuple[str, str]]:
+    """Return the names of the rules whose keys have none."""
+    return [(f"name of {_rule_key(rule)}", rule.name) for rule in dict.fromkeys(rules) if not rule.label]
 
 
 def _format_lag(nanoseconds: Optional[int]) -> str:
@@ -513,10 +556,35 @@ class Diagnostics:
         self._transport = transport
         self._health = health
         self._reports = reports
+        self._period: Optional[float] = None
+        self._has_changed = threading.Event()
+        self._is_shut_down = self._is_started = False
+        self.set_options(period, hardware_id)
+
+    def prepare(self, period: Optional[float]) -> None:
+        """Publish the topic if a period needs it, so that `set_options` with this period cannot fail.
+
+        Raises:
+            RetalisError: if the topic cannot be published.
+        """
+        if period is not None and not self._is_started:
+            self._start()
+            self._is_started = True
+
+    def set_options(self, period: Optional[float], hardware_id: str) -> None:
+        """Set the period of the messages and the hardware id; see `Diagnostics`.
+
+        Raises:
+            RetalisError: see `prepare`.
+        """
+        self.prepare(period)
         self._hardware_id = hardware_id
-        self._is_shut_down = threading.Event()
-        if period is None:
-            return
+        if period != self._period:
+            self._period = period
+            self._has_changed.set()
+
+    def _start(self) -> None:
+        transport = self._transport
         definitions = Definitions(transport.installed_types(include_rosbags=False))
         try:
             definition = definitions.find(DIAGNOSTICS_TYPE)
@@ -526,16 +594,23 @@ class Diagnostics:
             )
             return
         publication = transport.advertise(DIAGNOSTICS_TOPIC, definition, _QUEUE_SIZE)
-        transport.on_shutdown(self._is_shut_down.set)
+        transport.on_shutdown(self._shut_down)
         threading.Thread(
             target=self._run,
-            args=(period, publication, definitions.encoder(definition, transport.format)),
+            args=(publication, definitions.encoder(definition, transport.format)),
             name="retalis diagnostics",
             daemon=True,
         ).start()
 
-    def _run(self, period: float, publication: TopicPublication, encoder: Encoder) -> None:
-        while not self._is_shut_down.wait(period):
+    def _shut_down(self) -> None:
+        self._is_shut_down = True
+        self._has_changed.set()
+
+    def _run(self, publication: TopicPublication, encoder: Encoder) -> None:
+        while not self._is_shut_down:
+            if self._has_changed.wait(self._period):
+                self._has_changed.clear()
+                continue
             try:
                 values = self._make_message(self._health.evaluate())
                 publication.send(encoder.encode(make_message_term(encoder.definition, values)))

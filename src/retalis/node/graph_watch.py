@@ -5,13 +5,13 @@ can receive them, too. Without a subscription in ``pub_sub.xml``, the graph is n
 """
 
 import threading
-from typing import Iterator, List, Mapping, NamedTuple, Optional, Set
+from typing import Iterator, Mapping, NamedTuple, Optional, Set
 
 from ..engine.runtime.problem_reports import Reports
 from ..events.program.topic_configuration import Topics
 from ..messages.message_dictionaries import make_message_term
 from ..messages.type_registry import Definitions
-from .transport import NodeGraph, Transport
+from .transport import GraphChange, NodeGraph, Transport
 
 GRAPH_TOPIC = "ros_graph"
 GRAPH_TYPE = "retalis/GraphChange"
@@ -21,22 +21,6 @@ PERIOD_SECONDS = 1.0
 
 QUEUE_SIZE = 1000
 """Number of changes that wait for a slow subscriber."""
-
-
-class GraphChange(NamedTuple):
-    """A change of the graph; the slots of ``msg/GraphChange.msg``.
-
-    Attributes:
-        kind: what has changed; see the message.
-        node: full name of the node; "" if the change is not one of a single node.
-        topic: full name of the topic; "" if the change is one of a node.
-        detail: further facts, as text.
-    """
-
-    kind: str
-    node: str = ""
-    topic: str = ""
-    detail: str = ""
 
 
 class WatchedGraph(NamedTuple):
@@ -83,17 +67,17 @@ def find_changes(before: WatchedGraph, after: WatchedGraph) -> Iterator[GraphCha
     for node in sorted(after.nodes - before.nodes):
         yield GraphChange("node_started", node)
     for topic in sorted(after.published - before.published):
-        yield GraphChange("topic_published", topic=topic)
+        yield GraphChange("topic_published", name=topic)
     for topic in sorted(after.missing - before.missing):
-        yield GraphChange("publisher_missing", topic=topic)
+        yield GraphChange("publisher_missing", name=topic)
     for mismatch in sorted(after.mismatches - before.mismatches):
         yield mismatch._replace(kind="mismatch")
     for mismatch in sorted(before.mismatches - after.mismatches):
         yield mismatch._replace(kind="mismatch_ended")
     for topic in sorted(before.missing - after.missing):
-        yield GraphChange("publisher_found", topic=topic)
+        yield GraphChange("publisher_found", name=topic)
     for topic in sorted(before.published - after.published):
-        yield GraphChange("topic_unpublished", topic=topic)
+        yield GraphChange("topic_unpublished", name=topic)
     for node in sorted(before.nodes - after.nodes):
         yield GraphChange("node_ended", node)
 
@@ -123,7 +107,10 @@ class GraphWatch:
         self._definition = definitions.find(GRAPH_TYPE)
         self._encoder = definitions.encoder(self._definition, transport.format)
         self._publication = transport.advertise(name, self._definition, QUEUE_SIZE)
+        # Changes are reported by other threads.
+        self._lock = threading.Lock()
         transport.on_shutdown(self._is_shut_down.set)
+        transport.watch_nodes(self._publish)
         threading.Thread(target=self._run, daemon=True, name="graph").start()
 
     def _run(self) -> None:
@@ -142,8 +129,12 @@ class GraphWatch:
         if graph is None:
             return
         after = read_graph(graph)
-        changes: List[GraphChange] = list(find_changes(self._before, after))
+        changes = list(find_changes(self._before, after))
         self._before = after
         for change in changes:
-            term = make_message_term(self._definition, change._asdict())
+            self._publish(change)
+
+    def _publish(self, change: GraphChange) -> None:
+        term = make_message_term(self._definition, change._asdict())
+        with self._lock:
             self._publication.send(self._encoder.encode(term, GRAPH_TOPIC))

@@ -37,13 +37,15 @@ class HostContext:
         self.parameters = parameters
         self.reports = reports
         self.time = SimulatedTime(transport, reports)
-        self.definitions = Definitions(transport.installed_types(), parameters.max_empty_elements)
         self.latched = LatchedMessageDeduplicator(self.time.epoch)
         self.topics_error: Optional[RetalisError] = None
         try:
             self.topics = read_topics(parameters.program / TOPICS)
         except RetalisError as error:
             self.topics, self.topics_error = Topics(), error
+        self.definitions = Definitions(
+            transport.installed_types(), parameters.max_empty_elements, self.topics.strings
+        )
 
     def make_skew_monitor(self) -> ClockSkewMonitor:
         """Return the monitor of the stamps of messages; its counts, and those of reports, are logged at the end."""

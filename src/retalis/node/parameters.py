@@ -9,6 +9,7 @@ from ..engine.engine_settings import Settings
 from ..events.knowledge.transform_buffer import DEFAULT_CACHE_SECONDS
 from ..events.program.topic_configuration import AUTO, DirectTopics, read_direct, uses_texts
 from ..foundation.errors import UsageError, printable, shorten
+from ..foundation.ros_name_checks import topic_fault
 from ..foundation.similar_names import closest_name
 from ..messages.type_definition import MAX_EMPTY_ELEMENTS
 from ..prolog.machine.resource_limits import Limits, Number, validate_limit
@@ -32,6 +33,7 @@ PARAMETER_DESCRIPTIONS = {
     "allow_flags": "Whether goals of services and of the dashboard may change flags",
     "allow_foreign": "Whether programs may load Python modules",
     "allow_swi": "Whether programs may load files into SWI-Prolog",
+    "allow_services": "Full names of the services that goals may call with ros_service; * stands for any text",
     "folders": "Folders in which goals of events, queries and services may read files, beside the program's folder",
     "write_folders": "Folders in which these goals may write and read files; the first has the persistent events",
     "max_file_megabytes": "Largest file that the program may read or write, in megabytes",
@@ -56,6 +58,46 @@ PARAMETER_DESCRIPTIONS = {
 }
 """Names of the parameters, with a description for tools that list them."""
 
+_LOADED = "the program is loaded at the start"
+_PERMISSION = "permissions are those of the start"
+_SIZE = "buffers have the size of the start"
+
+FIXED_PARAMETERS = {
+    "program": _LOADED,
+    "direct": "the topics are opened at the start",
+    "embedded": "the services are offered at the start",
+    "queue": _SIZE,
+    "allow_goals": _PERMISSION,
+    "allow_flags": _PERMISSION,
+    "allow_foreign": _PERMISSION,
+    "allow_swi": _PERMISSION,
+    "allow_services": _PERMISSION,
+    "folders": _PERMISSION,
+    "write_folders": _PERMISSION,
+    "max_file_megabytes": _PERMISSION,
+    "max_depth": "rules are compiled for it",
+    "max_elements": "readers of messages are compiled for it",
+    "tf_cache": _SIZE,
+    "dashboard": "its port is opened at the start",
+    "dashboard_queries": _PERMISSION,
+    "explain": "origins are recorded from the start",
+    "checkpoint": "the state is read from it at the start",
+}
+"""Parameters that are fixed while the node runs, with the reason; the others can be changed on ROS 2."""
+
+
+class AdjustableParameters(NamedTuple):
+    """The parameters that can be changed while the node runs; see `Parameters` and `Settings`."""
+
+    limits: Limits
+    watchdog: Optional[float]
+    max_gap: Optional[float]
+    watermark_delay: Optional[float]
+    max_watermark_delay: float
+    max_skew: Optional[float]
+    diagnostics: Optional[float]
+    hardware_id: str
+
 
 class Parameters(NamedTuple):
     """The parameters of a node.
@@ -76,6 +118,7 @@ class Parameters(NamedTuple):
         dashboard: port of the dashboard; None for no dashboard.
         dashboard_queries: whether users of the dashboard may ask goals.
         checkpoint: file for the engine's state; None if the state is not saved.
+        allow_services: full names of the services that goals may call, in which ``*`` stands for any text.
     """
 
     program: Path
@@ -91,6 +134,7 @@ class Parameters(NamedTuple):
     dashboard: Optional[int] = None
     dashboard_queries: bool = False
     checkpoint: Optional[Path] = None
+    allow_services: Tuple[str, ...] = ()
 
     @property
     def uses_texts(self) -> bool:
@@ -99,6 +143,22 @@ class Parameters(NamedTuple):
         Otherwise node retalis itself subscribes to and publishes the topics of ``pub_sub.xml``.
         """
         return not self.embedded and uses_texts(self.direct)
+
+    def adjust(self, adjusted: AdjustableParameters) -> "Parameters":
+        """Return the parameters with other values of those that can be changed."""
+        settings = self.settings._replace(
+            limits=adjusted.limits,
+            watchdog=adjusted.watchdog,
+            max_gap=adjusted.max_gap,
+            watermark_delay=adjusted.watermark_delay,
+            max_watermark_delay=adjusted.max_watermark_delay,
+        )
+        return self._replace(
+            settings=settings,
+            max_skew=adjusted.max_skew,
+            diagnostics=adjusted.diagnostics,
+            hardware_id=adjusted.hardware_id,
+        )
 
 
 def read_parameters(values: Mapping[str, Any], find_program: Callable[[], Path]) -> Parameters:
@@ -113,30 +173,17 @@ def read_parameters(values: Mapping[str, Any], find_program: Callable[[], Path])
     """
     _warn_about_unknown_parameters(values)
     given = _GivenParameters(values)
-    limits = Limits(
-        given.limit("max_seconds", float, DEFAULT_LIMITS.seconds),
-        given.limit("max_inferences", int, DEFAULT_LIMITS.inferences),
-        given.limit("max_megabytes", float, DEFAULT_LIMITS.megabytes),
-        given.limit("max_output_megabytes", float, DEFAULT_LIMITS.output_megabytes),
-    )
     depth = given.positive_number("max_depth", int)
     queue = given.positive_number("queue", int)
     settings = Settings(
-        limits=limits,
         # The limits of an event do not apply to the goals of goalPredicates.txt.
         limit_start=False,
-        watchdog=given.limit("watchdog", float, DEFAULT_WATCHDOG_SECONDS),
         allow_goals=given.flag("allow_goals"),
         allow_flags=given.flag("allow_flags"),
         allow_foreign=given.flag("allow_foreign"),
         allow_swi=given.flag("allow_swi"),
         folders=given.folders("folders"),
         write_folders=given.folders("write_folders"),
-        max_gap=given.limit("max_gap", float, None),
-        watermark_delay=given.delay("watermark_delay"),
-        max_watermark_delay=validate_limit(
-            "parameter ~max_watermark_delay", values.get("max_watermark_delay", 1.0), float
-        ),
         tf_cache=given.positive_number("tf_cache", float) or DEFAULT_CACHE_SECONDS,
     )
     max_file_megabytes = given.positive_number("max_file_megabytes", int)
@@ -146,7 +193,7 @@ def read_parameters(values: Mapping[str, Any], find_program: Callable[[], Path])
         settings = settings._replace(max_depth=depth)
     if queue is not None:
         settings = settings._replace(queue=queue)
-    return Parameters(
+    parameters = Parameters(
         max_empty_elements=given.positive_number("max_elements", int) or MAX_EMPTY_ELEMENTS,
         program=_read_program_folder(given, find_program),
         direct=_read_direct_topics(values),
@@ -154,26 +201,72 @@ def read_parameters(values: Mapping[str, Any], find_program: Callable[[], Path])
         queue=settings.queue,
         settings=settings,
         explain=given.flag("explain"),
-        max_skew=given.limit("max_skew", float, None),
-        diagnostics=given.limit("diagnostics", float, 1.0),
-        hardware_id=given.text("hardware_id", DEFAULT_HARDWARE_ID),
         dashboard=given.port("dashboard"),
         dashboard_queries=given.flag("dashboard_queries"),
         checkpoint=given.path("checkpoint"),
+        allow_services=given.service_patterns("allow_services"),
     )
+    return parameters.adjust(read_adjustable_parameters(values))
+
+
+def read_adjustable_parameters(values: Mapping[str, Any]) -> AdjustableParameters:
+    """Return the parameters that can be changed while the node runs.
+
+    Args:
+        values: the given parameters by name; others are ignored.
+
+    Raises:
+        UsageError: if a value is invalid; the message names the parameter.
+    """
+    given = _GivenParameters(values)
+    return AdjustableParameters(
+        limits=Limits(
+            given.limit("max_seconds", float, DEFAULT_LIMITS.seconds),
+            given.limit("max_inferences", int, DEFAULT_LIMITS.inferences),
+            given.limit("max_megabytes", float, DEFAULT_LIMITS.megabytes),
+            given.limit("max_output_megabytes", float, DEFAULT_LIMITS.output_megabytes),
+        ),
+        watchdog=given.limit("watchdog", float, DEFAULT_WATCHDOG_SECONDS),
+        max_gap=given.limit("max_gap", float, None),
+        watermark_delay=given.delay("watermark_delay"),
+        max_watermark_delay=validate_limit(
+            "parameter ~max_watermark_delay", given.get("max_watermark_delay", 1.0), float
+        ),
+        max_skew=given.limit("max_skew", float, None),
+        diagnostics=given.limit("diagnostics", float, 1.0),
+        hardware_id=given.text("hardware_id", DEFAULT_HARDWARE_ID),
+    )
+
+
+def check_adjustable(name: str) -> None:
+    """Check that a parameter can be changed while the node runs.
+
+    Raises:
+        UsageError: if it is fixed, or there is none of this name.
+    """
+    if name not in PARAMETER_DESCRIPTIONS:
+        raise UsageError(_describe_unknown_parameter(name))
+    if name in FIXED_PARAMETERS:
+        raise UsageError(
+            f"parameter ~{name}: it cannot be changed, because {FIXED_PARAMETERS[name]}: start the node with it"
+        )
+
+
+def _describe_unknown_parameter(name: str) -> str:
+    closest = closest_name(name, PARAMETER_DESCRIPTIONS)
+    hint = (
+        f"did you mean ~{closest}?"
+        if closest
+        else f"the parameters are ~{', ~'.join(PARAMETER_DESCRIPTIONS)}"
+    )
+    return f"there is no parameter ~{printable(shorten(name))}; {hint}"
 
 
 def _warn_about_unknown_parameters(values: Mapping[str, Any]) -> None:
     for name in values:
-        # A misspelt parameter would otherwise be ignored without notice.
-        if name not in PARAMETER_DESCRIPTIONS:
-            closest = closest_name(name, PARAMETER_DESCRIPTIONS)
-            hint = (
-                f"did you mean ~{closest}?"
-                if closest
-                else f"the parameters are ~{', ~'.join(PARAMETER_DESCRIPTIONS)}"
-            )
-            log.warning("there is no parameter ~%s; %s", printable(shorten(name)), hint)
+        # A misspelt parameter would otherwise be ignored without notice; others are those that goals read.
+        if name not in PARAMETER_DESCRIPTIONS and closest_name(name, PARAMETER_DESCRIPTIONS):
+            log.warning("%s", _describe_unknown_parameter(name))
 
 
 def _read_program_folder(given: "_GivenParameters", find_program: Callable[[], Path]) -> Path:
@@ -222,6 +315,18 @@ class _GivenParameters:
         value = self.get(name, [])
         if not isinstance(value, list) or not all(isinstance(item, str) for item in value):
             raise UsageError(f"parameter ~{name}: expected a list of folders, found {value!r}")
+        return tuple(value)
+
+    def service_patterns(self, name: str) -> Tuple[str, ...]:
+        """Return the names of services that a parameter lists."""
+        value = self.get(name, [])
+        if not isinstance(value, list) or not all(isinstance(item, str) for item in value):
+            raise UsageError(f"parameter ~{name}: expected a list of services, found {value!r}")
+        for item in value:
+            if item[:1] not in ("/", "*") or topic_fault(item.replace("*", "a")) is not None:
+                raise UsageError(
+                    f"parameter ~{name}: expected full names of services, as /arm/* or /dock, found {item!r}"
+                )
         return tuple(value)
 
     def path(self, name: str) -> Optional[Path]:

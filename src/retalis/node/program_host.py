@@ -8,7 +8,7 @@ send texts; the texts; time; reports on the state.
 import logging
 import threading
 import time
-from typing import Callable, ContextManager, Dict, List, Mapping, Optional, Protocol, Sequence, Tuple
+from typing import Callable, ContextManager, Dict, List, Mapping, Optional, Protocol, Sequence, Set, Tuple
 
 from ..engine.engine import Engine
 from ..engine.event_input import TopicRequest
@@ -17,9 +17,9 @@ from ..engine.runtime.clock_skew import ClockSkewMonitor
 from ..events.program.topic_configuration import Topics, TopicType
 from ..explanation.event_explanations import record_origins
 from ..foundation.errors import RetalisError, UsageError
+from ..messages.action_events import CANCEL, GOAL, STATUS, find_action_event
 from ..messages.decoder import Decoder
 from ..messages.transform_messages import TRANSFORM_TOPICS
-from ..messages.type_definition import functor_name
 from ..messages.type_registry import Definitions
 from ..prolog.terms.types import CompoundTerm, Term
 from .checkpoint_file import CheckpointFile
@@ -37,9 +37,10 @@ from .graph_watch import GraphWatch
 from .host_context import HostContext
 from .latched_deduplication import LatchedConnection
 from .node_dashboard import NodeDashboard
-from .parameters import DEFAULT_WATCHDOG_SECONDS
+from .parameters import DEFAULT_WATCHDOG_SECONDS, Parameters
 from .published_topics import OutputRelay
 from .running_program import OutputCallbacks, ProgramContext, RunningProgram, make_event_handler
+from .service_caller import ServiceCaller
 from .services import (
     EngineServices,
     InterfaceServices,
@@ -58,7 +59,7 @@ from .subscribed_topics import (
 from .text_exchange import INPUT, OUTPUT, TextExchange
 from .topic_statistics import OutputStatus, StartupWarnings
 from .transport import MessageSource
-from .transport_time import HostClock
+from .transport_time import HostClock, ReceiptStamps
 
 log = logging.getLogger("retalis")
 
@@ -106,6 +107,13 @@ class ProgramHost:
             context.definitions,
         )
         self._clock = self._start_clock(checkpoint.is_resumed)
+        self._service_caller = ServiceCaller(transport, parameters.allow_services)
+        self.engine.on_service_call(self._service_caller.call, transport.format)
+        try:
+            transport.refresh_ros_parameters()
+        except RetalisError as error:
+            self._errors += log_error(error)
+        self.engine.on_parameter_read(transport.ros_parameter)
         print_goal_output(self.engine.program.logic, transport.on_shutdown)
         if parameters.explain:
             record_origins(self.engine)
@@ -114,9 +122,13 @@ class ProgramHost:
         # If messages pass as text, the interface node reports it.
         if context.topics_error is not None and not parameters.uses_texts:
             self._errors += log_error(context.topics_error)
-        skew = context.make_skew_monitor()
+        self._skew = skew = context.make_skew_monitor()
         self._processing = MessageProcessing(
-            self._make_handler, threading.Lock(), skew=skew, clock_epochs=context.time.epochs
+            self._make_handler,
+            threading.Lock(),
+            skew=skew,
+            clock_epochs=context.time.epochs,
+            stamp_receipt=None if transport.is_time_simulated else ReceiptStamps(transport.now).stamp,
         )
         # They store the outputs and requested topics of goals until topics can be opened.
         outputs = OutputRelay(parameters.queue, self._reports)
@@ -141,7 +153,24 @@ class ProgramHost:
         self._report_state()
         checkpoint.start_writing(self.engine, transport.on_shutdown)
         if checkpoint.is_resumed:
-            threading.Thread(target=self._run_missed_alarms, daemon=True).start()
+            threading.Thread(target=self._continue_after_pause, daemon=True).start()
+
+    def change_parameters(self, parameters: Parameters) -> None:
+        """Apply other values of the parameters that can be changed, all or none; see `AdjustableParameters`.
+
+        Raises:
+            RetalisError: if the engine does not end a callback in time, or the topic of diagnostics cannot be
+                published.
+        """
+        # Both may fail, and the following steps cannot.
+        self._diagnostics.prepare(parameters.diagnostics)
+        self.engine.change_settings(
+            parameters.settings._replace(transform_buffer=self.engine.settings.transform_buffer)
+        )
+        self._parameters = parameters
+        self._skew.set_max_distance(parameters.max_skew)
+        self._diagnostics.set_options(parameters.diagnostics, parameters.hardware_id)
+        self._engine_health.set_work_limits(*_work_limits(parameters))
 
     def _start_clock(self, is_resumed: bool) -> HostClock:
         """Start to wake the engine, which exists from here on."""
@@ -161,13 +190,17 @@ class ProgramHost:
     def _log_mistakes(self, topics: Topics) -> None:
         """Log probable mistakes in the loaded program."""
         warnings = self._program.log_mistakes(
-            self._parameters.program, self._make_short_lived_definitions(), topics
+            self._parameters.program,
+            self._make_short_lived_definitions(),
+            topics,
+            self._service_caller.find_refusal,
         )
         self._program_warnings += [warning.brief() for warning in warnings]
 
     def _make_short_lived_definitions(self) -> Definitions:
         """Return definitions that are freed after use: checks load types that the node does not need."""
-        return Definitions(self._transport.installed_types(include_rosbags=False))
+        installed = self._transport.installed_types(include_rosbags=False)
+        return Definitions(installed, strings=self.engine.strings)
 
     def _on_reload(self, topics: Topics) -> None:
         self._errors.clear()
@@ -292,20 +325,30 @@ class ProgramHost:
     # ---- time
 
     def _follow_time(self, skew: ClockSkewMonitor, text_locks: List[ContextManager[object]]) -> None:
+        def begin_epoch(previous_end: int) -> None:
+            skew.begin_epoch(previous_end)
+            self._subscribed.forget_goals()
+
         self._context.time.start(
-            [self._processing.lock, *text_locks], skew.begin_epoch, lambda end: self._schedule_epoch()
+            [self._processing.lock, *text_locks], begin_epoch, lambda end: self._schedule_epoch()
         )
 
     def _schedule_epoch(self) -> None:
         """Enter a new clock epoch after the engine has processed its queue, which belongs to the former one."""
         epoch = self._context.time.epoch()
-        self.engine.advance(lambda: self._clock.begin_epoch(epoch))
 
-    def _run_missed_alarms(self) -> None:
-        """Run the alarms that became due while the node was not running, after the interface has connected."""
+        def begin_epoch() -> None:
+            self._service_caller.fail_all("the time was set back before the reply")
+            self._clock.begin_epoch(epoch)
+
+        self.engine.advance(begin_epoch)
+
+    def _continue_after_pause(self) -> None:
+        """Fail calls of services and run alarms of the time without the node, after the interface has connected."""
         end = time.monotonic() + MAX_INTERFACE_WAIT_SECONDS
         while not self._texts.is_output_received() and time.monotonic() < end:
             time.sleep(_INTERFACE_CHECK_SECONDS)
+        self.engine.fail_interrupted_calls()
         self.engine.advance()
 
     # ---- reports on the state
@@ -316,7 +359,7 @@ class ProgramHost:
         StartupWarnings(
             transport,
             self._subscribed.statuses,
-            self._named_topics(self.engine.with_requested_topics(self._topics)),
+            self._expected_topics(self.engine.with_requested_topics(self._topics)),
         )
         self._diagnostics = Diagnostics(
             transport,
@@ -346,10 +389,7 @@ class ProgramHost:
         )
 
     def _make_engine_health(self) -> Callable[[], List[Health]]:
-        settings = self._parameters.settings
-        engine_health = EngineHealth(
-            settings.watchdog or DEFAULT_WATCHDOG_SECONDS, settings.limits.seconds or DEFAULT_LATE_SECONDS
-        )
+        self._engine_health = engine_health = EngineHealth(*_work_limits(self._parameters))
 
         def evaluate() -> List[Health]:
             status = self.engine.status()
@@ -357,11 +397,22 @@ class ProgramHost:
                 errors=status.errors + log_counts.errors, warnings=status.warnings + log_counts.warnings
             )
             return [
-                *engine_health.evaluate(time.monotonic(), status),
+                *engine_health.evaluate(time.monotonic(), status, self._unstamped_events()),
                 evaluate_program(list(self._errors), list(self._program_warnings)),
             ]
 
         return evaluate
+
+    def _unstamped_events(self) -> Set[str]:
+        """Return the names of the events whose messages have no stamp, so that their lag is not measured."""
+        names: Dict[bool, Set[str]] = {True: set(), False: set()}
+        topics, resolve_topic = self.engine.with_requested_topics(self._topics), self._transport.resolve_topic
+        for status in self._subscribed.statuses():
+            if status.messages:
+                name = topics.functor_name_of(TopicType(status.topic, status.type), resolve_topic)
+                names[status.lag is None].add(name)
+        # Several topics may have events of one name.
+        return names[True] - names[False]
 
     def _make_role_lookup(self) -> Callable[[str], InputRole]:
         """Return a function from a topic to its present role in the program, whose rules may change."""
@@ -370,13 +421,18 @@ class ProgramHost:
             self.engine.program.rules.dispatcher.has_listener_for_name,
         )
         resolve_topic = self._transport.resolve_topic
-        named_topics = set(map(resolve_topic, self._named_topics(self._topics)))
+        named_topics = {resolve_topic(topic) for topic, _ in self._named_topics(self._topics)}
+        events = [(topic, find_action_event(topic.type)) for topic in self._topics.subscribed]
+        action_events = {
+            resolve_topic(topic.topic): (event.kind, self._topics.functor_name_of(topic))
+            for topic, event in events
+            if event is not None
+        }
         # Topics that the node subscribes to by default, with the names of their events.
         default_events = {
-            resolve_topic(topic): self._topics.event_name_of(topic, resolve_topic)
-            or functor_name(message_type)
-            for topic, message_type in self._program.direct
-            if resolve_topic(topic) not in named_topics
+            resolve_topic(topic.topic): self._topics.functor_name_of(topic, resolve_topic)
+            for topic in self._program.direct
+            if resolve_topic(topic.topic) not in named_topics
         }
         text_topics = {resolve_topic(INPUT), resolve_topic(OUTPUT)}
         transforms = self.engine.program.knowledge.transforms
@@ -390,6 +446,8 @@ class ProgramHost:
                 return InputRole.LINK if uses_texts else InputRole.OPTIONAL
             if transforms.is_required and topic in transform_roles:
                 return transform_roles[topic]
+            if topic in action_events:
+                return _role_of_action_event(*action_events[topic], is_read)
             event = default_events.get(topic)
             return InputRole.NEEDED if event is None or is_read(event) else InputRole.UNREAD
 
@@ -398,9 +456,32 @@ class ProgramHost:
     def _output_statuses(self) -> List[OutputStatus]:
         return [*self._texts.statuses(), *self._published.statuses()]
 
-    def _named_topics(self, topics: Topics) -> List[str]:
+    def _named_topics(self, topics: Topics) -> List[TopicType]:
         """Return the topics of this node that its program or parameters name, without those subscribed by default."""
         direct = self._parameters.direct
         topic_types: List[TopicType] = [*(() if self._parameters.uses_texts else topics.subscribed)]
-        topic_types += direct if isinstance(direct, tuple) else ()
-        return [topic for topic, _ in topic_types]
+        return topic_types + [*(direct if isinstance(direct, tuple) else ())]
+
+    def _expected_topics(self, topics: Topics) -> List[str]:
+        """Return the named topics that should have a publisher; of an action those that the program reads."""
+        is_read = self.engine.program.rules.dispatcher.has_listener_for_name
+        expected: List[str] = []
+        for topic in self._named_topics(topics):
+            event = find_action_event(topic.type)
+            if event is None or event.kind == STATUS or is_read(topics.functor_name_of(topic)):
+                expected.append(topic.topic)
+        return expected
+
+
+def _role_of_action_event(kind: str, name: str, is_read: Callable[[str], bool]) -> InputRole:
+    """Return the role of the topic of an action's event: nothing is published between goals."""
+    if not is_read(name):
+        return InputRole.UNREAD
+    # Clients publish goals, and need not run.
+    return InputRole.OPTIONAL if kind in (GOAL, CANCEL) else InputRole.LINK
+
+
+def _work_limits(parameters: Parameters) -> Tuple[float, float]:
+    """Return the seconds after which work in progress is a warning and an error."""
+    settings = parameters.settings
+    return settings.watchdog or DEFAULT_WATCHDOG_SECONDS, settings.limits.seconds or DEFAULT_LATE_SECONDS

@@ -16,6 +16,7 @@ from ..events.program.topic_configuration import (
 from ..foundation.bounded_caches import Cache
 from ..foundation.errors import MessageError, RetalisError, UsageError, printable, shorten
 from ..messages.encoder import Encoder
+from ..messages.type_definition import PLAIN_STRINGS
 from ..messages.type_registry import Definitions
 from ..prolog.syntax.event_text import EventReader, to_text
 from ..prolog.terms.types import Term, deref
@@ -122,7 +123,7 @@ class PublishedTopics:
         self._unadvertised: Dict[str, _UnadvertisedTopic] = {}
         """Topics that are advertised when their types become known."""
         self._report_unpublished = report_unpublished or TextOnlyOutputs(reports).report
-        self._text_reader = EventReader()
+        self._text_reader = EventReader(has_plain_strings=definitions.strings == PLAIN_STRINGS)
 
     def advertise(
         self,

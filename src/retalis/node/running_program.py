@@ -116,7 +116,7 @@ class RunningProgram:
             options._replace(
                 quality_of=lambda topic: quality_of(topics.subscribed_quality, topic, transport.resolve_topic)
             ),
-            self.published.advertise_learned_types,
+            self.use_learned_types,
         )
         self.untyped_topics = UntypedTopicWarnings(
             transport, (topic for topic, _ in topics.published), reports, callbacks.untyped_consequence
@@ -154,6 +154,16 @@ class RunningProgram:
                 request, "parameter ~direct", logging.INFO if is_default else logging.ERROR
             )
 
+    def use_learned_types(self) -> None:
+        """Advertise topics whose types have become known, and warn about constants of types that came too late."""
+        self.published.advertise_learned_types()
+        for message_type in self.engine.pop_late_types():
+            log.warning(
+                "the definition of %s came after the program was loaded: its constants have no values until the "
+                "program is loaded again; call ~reload, or install the package",
+                message_type,
+            )
+
     def start_transforms(self, start_feed: Callable[[], object]) -> None:
         """Call a function once, as soon as the program reads transforms; it calls `subscribe_transforms`."""
         self.require_transforms()
@@ -169,7 +179,11 @@ class RunningProgram:
         self.subscribed.subscribe_transforms(self.engine.post_transforms)
 
     def log_mistakes(
-        self, program: Path, definitions: Definitions, topics: Optional[Topics] = None
+        self,
+        program: Path,
+        definitions: Definitions,
+        topics: Optional[Topics] = None,
+        find_refusal: Callable[[str], str] = lambda name: "",
     ) -> List[RetalisError]:
         """Log probable mistakes in the loaded program, and return them.
 
@@ -177,12 +191,13 @@ class RunningProgram:
             program: folder of the program.
             definitions: message types for the checks.
             topics: topics of the program, if they have changed.
+            find_refusal: returns the reason why goals may not call a service, or "".
         """
         # These warnings cover outputs without a type.
         self.untyped_topics.mark_reported(self.engine.output_topics())
         topics = self._context.topics if topics is None else topics
         direct = direct_topics(self._context.direct, topics, self._context.transport.resolve_topic)
-        warnings = list(self.engine.warnings(program, definitions, topics, direct))
+        warnings = list(self.engine.warnings(program, definitions, topics, direct, find_refusal))
         for warning in warnings:
             log.warning("%s", warning)
         return warnings

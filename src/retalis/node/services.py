@@ -625,6 +625,7 @@ class ReloadService:
         topics: Topics,
         after_reload: Callable[[Topics], None],
     ):
+        self._transport = transport
         self._engine = engine
         self._folder = folder
         self._writable = writable
@@ -636,6 +637,7 @@ class ReloadService:
         try:
             check_not_writable(self._folder, self._writable)
             topics = read_current_topics(self._folder)
+            self._transport.refresh_ros_parameters()
             # The engine replaces the program completely, or not at all if there are errors.
             changes = self._engine.reload(self._folder)
         except RetalisError as error:

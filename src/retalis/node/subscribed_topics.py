@@ -5,6 +5,7 @@ A message passes through these steps:
 1. The transport reads serialized messages of one source; see `MessageSource`.
 2. The handler that was created for the source (`HandlerFactory`) converts each message; see `SourceReader.convert`.
    The types of source and subscription are compared once per source; an unknown type is learned from the source.
+   Messages of actions are first converted to those of an event type; see `messages.action_events`.
 3. The results of messages that were read together are passed on together (`ResultConsumer`), under the lock
    `MessageProcessing.lock`.
 
@@ -16,6 +17,7 @@ import threading
 import time
 from collections import deque
 from contextlib import suppress
+from functools import partial
 from queue import Empty, SimpleQueue
 from typing import (
     Any,
@@ -27,6 +29,7 @@ from typing import (
     List,
     NamedTuple,
     Optional,
+    Sequence,
     Set,
     Tuple,
 )
@@ -44,6 +47,7 @@ from ..events.program.topic_configuration import (
     topic_type,
 )
 from ..foundation.errors import MessageError, RetalisError, UsageError, printable, shorten
+from ..messages.action_events import FEEDBACK, STATUS, ActionEvent, ActionMessages, find_action_event
 from ..messages.decoder import Decoder, has_header
 from ..messages.transform_messages import (
     STATIC_TRANSFORM_TOPIC,
@@ -68,17 +72,23 @@ HandlerFactory = Callable[[Decoder, str, MessageSource], MessageHandler]
 ResultConsumer = Callable[[Iterable[Any]], object]
 """Receives the results of messages that were read together, as a lazy iterable."""
 
-BatchHandler = Callable[[List[bytes]], None]
-"""Handler of messages that were read together."""
+BatchHandler = Callable[..., None]
+"""Handler of messages that were read together, and optionally the instants of their reception."""
 
 Convert = Callable[[bytes], Any]
 """Returns the result of a message; None if it is dropped."""
+
+Split = Callable[[bytes], List[bytes]]
+"""Returns the messages of an event type that a message of an action becomes."""
 
 consume_and_discard: ResultConsumer = deque(maxlen=0).extend
 """Processes all messages of a batch and discards the results."""
 
 LOSS_HINT = "have it publish more slowly, with a longer queue, or end later (rosbag play --keep-alive)"
 """Advice for losing fewer messages, at the end of a warning."""
+
+MAX_ACTION_SERVERS = 100
+"""Number of nodes with an action of one name whose goals are known while they are not connected."""
 
 MAX_DELAY_SECONDS = 0.0012
 """Seconds for which a message of a fast topic may wait for the next ones."""
@@ -96,6 +106,8 @@ class MessageProcessing(NamedTuple):
         skew: checks the stamps of messages.
         clock_epochs: clock epochs; messages of an epoch that has not begun are queued there.
         reads_transforms: whether messages are converted to transforms.
+        stamp_receipt: returns the instant of an event without one, given the instant at which the middleware has
+            received its message; None if this cannot be the instant. Results are pairs of event and instant then.
     """
 
     make_handler: HandlerFactory
@@ -104,6 +116,7 @@ class MessageProcessing(NamedTuple):
     skew: Optional[ClockSkewMonitor] = None
     clock_epochs: Optional[ClockEpochs] = None
     reads_transforms: bool = False
+    stamp_receipt: Optional[Callable[[int], Optional[int]]] = None
 
 
 def log_replaced_type(request: TopicRequest, source: MessageSource) -> None:
@@ -115,6 +128,32 @@ def log_replaced_type(request: TopicRequest, source: MessageSource) -> None:
         printable(shorten(source.node or "somebody")),
         printable(shorten(source.message_type)),
     )
+
+
+def list_endpoints(topic: str, message_type: str, transport: MessageTransport) -> List[TopicType]:
+    """Return the topics whose messages become the events of a topic: one, or for an action those of its server.
+
+    Args:
+        topic: full name of the topic, or ``action/kind`` for an event of an action.
+        message_type: type of the topic, or an event type.
+        transport: the middleware.
+    """
+    event = find_action_event(message_type)
+    if event is None:
+        return [TopicType(topic, message_type)]
+    action_topic = event.action_topic(topic)
+    # Nodes may remap the name of an action, and those of its topics.
+    name = None if action_topic is None else transport.resolve_topic(action_topic)
+    endpoints: List[TopicType] = []
+    for message_format in transport.received_formats:
+        endpoint, type_name = event.endpoint(name or topic, message_format)
+        if name is None:
+            endpoint = topic
+        elif message_format is SerializationFormat.CDR:
+            # In ROS 1, the name before the last slash is that of the remapped topic already.
+            endpoint = transport.resolve_topic(endpoint)
+        endpoints.append(TopicType(endpoint, type_name))
+    return endpoints
 
 
 class ReadingOptions(NamedTuple):
@@ -185,6 +224,12 @@ class SubscribedTopics:
             UsageError: if the topic is subscribed already, or a name is invalid.
         """
         topic, message_type = topic_type(topic, message_type)
+        action_event = find_action_event(message_type)
+        if action_event is not None and action_event.action_topic(topic) is None:
+            raise UsageError(
+                f"topic {topic}: {message_type} is an event of an action: expected the name of an action and "
+                f"/{action_event.kind}"
+            )
         name = self.resolve(topic)
         if name in self._excluded:
             raise UsageError(f"topic {topic} is subscribed by node retalis itself (its parameter ~direct)")
@@ -195,16 +240,32 @@ class SubscribedTopics:
                 )
             self._topics[name] = self._open(TopicRequest(name, message_type, event_name), self._processing)
 
+    def forget_goals(self) -> None:
+        """Forget the states of the goals of all actions, since time begins again."""
+        for subscribed_topic in list(self._topics.values()):
+            subscribed_topic.forget_goals()
+
     def subscribe_all(self, topics: Topics, direct: Iterable[TopicType]) -> None:
         """Subscribe to the topics of ``pub_sub.xml``, except those of ``direct``. Errors are logged."""
         resolve_topic = self._transport.resolve_topic
         direct_names = {resolve_topic(topic) for topic, _ in direct}
+        reported: Set[Tuple[str, int]] = set()
         for topic, message_type in topics.subscribed:
-            if resolve_topic(topic) not in direct_names:
-                try:
-                    self.subscribe(topic, message_type, topics.event_name_of(topic))
-                except RetalisError as error:
-                    log.error("%s: topic %s: %s", TOPICS, topic, error)
+            if resolve_topic(topic) in direct_names:
+                continue
+            try:
+                self.subscribe(topic, message_type, topics.event_name_of(topic))
+            except RetalisError as error:
+                subject, level = f"topic {topic}", logging.ERROR
+                event = find_action_event(message_type)
+                if event is not None:
+                    subject = f"action {event.action_topic(topic)}"
+                    # Servers of ROS 2 need not publish the others, and older distributions lack their types.
+                    level = logging.ERROR if event.kind in (STATUS, FEEDBACK) else logging.INFO
+                # The topics of an action fail for the same reason.
+                if event is None or (subject, level) not in reported:
+                    log.log(level, "%s: %s: %s", TOPICS, subject, str(error))
+                    reported.add((subject, level))
 
     def resolve(self, topic: str) -> str:
         """Return the full name of a topic that a program may subscribe to.
@@ -271,6 +332,7 @@ class SubscribedTopics:
                 consume_results=consume_results,
                 skew=None,
                 reads_transforms=True,
+                stamp_receipt=None,
             )
             self._transform_topics[name] = self._open(TopicRequest(name, TRANSFORM_TYPES[0]), processing)
 
@@ -367,16 +429,22 @@ class SubscribedTopic:
         self._reports = reports
         self._processing = processing
         self._options = options
+        self._action_event = find_action_event(request.message_type)
+        self._action_lock = threading.Lock()
+        self._action_messages: Dict[Tuple[str, str, SerializationFormat], ActionMessages] = {}
         self.counts = InputCounts(transport.now)
-        self._subscription = transport.subscribe(
-            request.topic,
-            request.message_type,
-            self._connect,
-            options.queue_size,
-            options.max_delay,
-            options.ignores_own,
-            options.quality_of(request.topic),
-        )
+        self._subscriptions = [
+            transport.subscribe(
+                topic,
+                message_type,
+                partial(self._connect, message_type),
+                options.queue_size,
+                options.max_delay,
+                options.ignores_own,
+                options.quality_of(request.topic),
+            )
+            for topic, message_type in list_endpoints(request.topic, request.message_type, transport)
+        ]
 
     def status(self) -> InputStatus:
         """Return the counters, and request that the lag of the next message is measured."""
@@ -386,7 +454,7 @@ class SubscribedTopic:
         return InputStatus(
             self.request.topic,
             self.request.message_type,
-            self._subscription.publisher_count(),
+            sum(subscription.publisher_count() for subscription in self._subscriptions),
             counts.messages,
             counts.dropped,
             counts.refused,
@@ -397,23 +465,28 @@ class SubscribedTopic:
 
     def publishers(self) -> List[str]:
         """Return the connected publishers."""
-        return self._subscription.publishers()
+        return [name for subscription in self._subscriptions for name in subscription.publishers()]
 
     def close(self) -> None:
         """Stop receiving."""
-        self._subscription.close()
+        for subscription in self._subscriptions:
+            subscription.close()
 
-    def _connect(self, source: MessageSource) -> "SourceReader":
+    def _connect(self, message_type: str, source: MessageSource) -> "SourceReader":
         """Return the receiver of a new source's messages. A source of the wrong type gets one that drops them."""
         topic, processing = self.request.topic, self._processing
         monitor = self._make_loss_monitor(source, False)
+        action_messages: Optional[ActionMessages] = None
         try:
-            decoder = self._find_decoder(source)
+            decoder = self._find_decoder(message_type, source)
+            if self._action_event is not None:
+                action_messages = self._find_action_messages(self._action_event, source.node, decoder)
+                decoder = self._definitions.decoder(action_messages.definition.as_event(self.request.event))
             stamp = decoder.stamp
             # In ROS 2, headers have no sequence number.
             is_numbered = decoder.format is SerializationFormat.ROS1 and has_header(decoder.definition)
             monitor = self._make_loss_monitor(source, is_numbered)
-            if processing.skew is not None:
+            if processing.skew is not None and action_messages is None:
                 decoder = processing.skew.watch(decoder, topic, source.node)
             handler = processing.make_handler(decoder, topic, source)
         # Without a receiver, a transport might connect again at once, forever.
@@ -428,11 +501,36 @@ class SubscribedTopic:
                 lambda data: reject([data]), reject, monitor, processing.reads_transforms, reason
             )
         convert = self._make_converter(handler)
-        receive = self._make_batch_handler(convert, stamp, source, monitor)
+        split = None if action_messages is None else self._make_splitter(action_messages)
+        receive = self._make_batch_handler(convert, stamp, source, monitor, split)
+        if split is not None:
+            convert = _join(split, convert)
         return SourceReader(convert, receive, monitor, processing.reads_transforms)
 
-    def _find_decoder(self, source: MessageSource) -> Decoder:
-        """Return the decoder for a source's messages.
+    def _find_action_messages(self, event: ActionEvent, node: str, decoder: Decoder) -> ActionMessages:
+        """Return the conversion of a node's messages; it knows the states of its goals if the node connects again."""
+        # In ROS 2 a name states only one of several publishers, whose goals have unique ids: all are one source.
+        source_name = node if decoder.format is SerializationFormat.ROS1 else ""
+        key = source_name, decoder.definition.md5sum, decoder.format
+        # Several sources may connect at the same time.
+        with self._action_lock:
+            # Removed and added again, so that the node that has not connected for longest is evicted first.
+            action_messages = self._action_messages.pop(key, None) or ActionMessages(
+                event, decoder.definition, decoder.format
+            )
+            self._action_messages[key] = action_messages
+            if len(self._action_messages) > MAX_ACTION_SERVERS:
+                del self._action_messages[next(iter(self._action_messages))]
+        return action_messages
+
+    def forget_goals(self) -> None:
+        """Forget the states of an action's goals, since time begins again."""
+        with self._action_lock:
+            for action_messages in self._action_messages.values():
+                action_messages.forget_goals()
+
+    def _find_decoder(self, message_type: str, source: MessageSource) -> Decoder:
+        """Return the decoder for a source's messages, which are expected to be of a type.
 
         Raises:
             MessageError: if their type differs from the subscription's.
@@ -441,14 +539,14 @@ class SubscribedTopic:
         if not (source.definition or source.md5sum):
             # The middleware does not say: the messages have the type as it is known here.
             is_named = source.message_type != "*"
-            known = self._definitions.find(source.message_type if is_named else request.message_type)
+            known = self._definitions.find(source.message_type if is_named else message_type)
             source = source._replace(message_type=known.name, definition=known.full_text, md5sum=known.md5sum)
         learned = self._definitions.learn(
-            request.message_type,
+            message_type,
             source.message_type,
             source.definition,
             source.md5sum,
-            request.event,
+            "" if self._action_event else request.event,
             source.format,
         )
         if learned.is_replacement:
@@ -473,16 +571,22 @@ class SubscribedTopic:
         stamp: Callable[[bytes], Optional[int]],
         source: MessageSource,
         monitor: LossMonitor,
+        split: Optional[Split],
     ) -> BatchHandler:
         """Return the handler of messages that were read together, which queues those of a coming epoch."""
         lock, counts, clock_epochs = self._processing.lock, self.counts, self._processing.clock_epochs
         handle_batch = self._make_result_handler(convert, source)
+        if split is not None:
+            handle_batch = _handle_parts(split, handle_batch)
+        uses_receipts = self._processing.stamp_receipt is not None
 
-        def handle_messages(messages: List[bytes]) -> None:
+        def handle_messages(messages: List[bytes], received: Sequence[int] = ()) -> None:
             counts.count(len(messages))
             monitor.begin(messages)
+            if not uses_receipts:
+                received = ()
             if counts.needs_lag:
-                counts.measure_lag(stamp, messages[-1])
+                counts.measure_lag(stamp, messages[-1], received[-1] if received else None)
             with lock:
                 if (
                     clock_epochs is not None
@@ -491,7 +595,7 @@ class SubscribedTopic:
                 ):
                     clock_epochs.buffer(handle_batch, messages)
                 else:
-                    handle_batch(messages)
+                    handle_batch(messages, received)
             monitor.end()
 
         return handle_messages
@@ -499,8 +603,9 @@ class SubscribedTopic:
     def _make_result_handler(self, convert: Convert, source: MessageSource) -> BatchHandler:
         """Return a handler that converts messages and passes on the results."""
         consume_results, clock_epochs = self._processing.consume_results, self._processing.clock_epochs
+        stamp_receipt = self._processing.stamp_receipt
 
-        def convert_all(messages: List[bytes]) -> Iterator[Any]:
+        def convert_all(messages: List[bytes], received: Sequence[int]) -> Iterator[Any]:
             for position, data in enumerate(messages):
                 try:
                     result = convert(data)
@@ -511,13 +616,29 @@ class SubscribedTopic:
                         clock_epochs.buffer_early(source.node, handle_batch, messages[position:])
                         return
                     continue
-                if result is not None:
+                if result is None:
+                    continue
+                if received and stamp_receipt is not None and result[1] is None:
+                    yield result[0], stamp_receipt(received[position])
+                else:
                     yield result
 
-        def handle_batch(messages: List[bytes]) -> None:
-            consume_results(convert_all(messages))
+        def handle_batch(messages: List[bytes], received: Sequence[int] = ()) -> None:
+            consume_results(convert_all(messages, received))
 
         return handle_batch
+
+    def _make_splitter(self, action_messages: ActionMessages) -> Split:
+        """Return a function that converts a message of an action, and reports failures."""
+
+        def split(data: bytes) -> List[bytes]:
+            try:
+                return action_messages.convert(data)
+            except Exception as error:
+                self._report_failure(error)
+            return []
+
+        return split
 
     def _make_converter(self, handler: MessageHandler) -> Convert:
         """Return a function that converts a message, and reports failures except `EarlyMessage`."""
@@ -550,13 +671,32 @@ class SubscribedTopic:
     def _make_dropping_handler(self, reason: str) -> BatchHandler:
         """Return a handler that drops, counts and reports messages."""
 
-        def reject(messages: List[bytes]) -> None:
+        def reject(messages: List[bytes], received: Sequence[int] = ()) -> None:
             self.counts.count(len(messages))
             self.counts.refused += len(messages)
             for _ in messages:
                 self._reports.warning(reason)
 
         return reject
+
+
+def _handle_parts(split: Split, handle_batch: BatchHandler) -> BatchHandler:
+    """Return the handler of messages whose parts another handler receives."""
+
+    def handle_parts(messages: List[bytes], received: Sequence[int] = ()) -> None:
+        split_messages = list(map(split, messages))
+        # Each part was received with its message.
+        part_receipts = [
+            instant for parts, instant in zip(split_messages, received) for _ in range(len(parts))
+        ]
+        handle_batch([part for parts in split_messages for part in parts], part_receipts)
+
+    return handle_parts
+
+
+def _join(split: Split, convert: Convert) -> Convert:
+    """Return a function from a message to the list of the results of its parts."""
+    return lambda data: [result for result in map(convert, split(data)) if result is not None]
 
 
 class SourceReader:

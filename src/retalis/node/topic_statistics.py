@@ -44,15 +44,17 @@ class InputCounts:
         self.messages += messages
         self.last = time.monotonic()
 
-    def measure_lag(self, stamp: Callable[[bytes], Optional[int]], data: bytes) -> None:
-        """Measure the lag of a message."""
+    def measure_lag(
+        self, stamp: Callable[[bytes], Optional[int]], data: bytes, received: Optional[int] = None
+    ) -> None:
+        """Measure the lag of a message, which was received at an instant in ns; None means now."""
         self.needs_lag = False
         try:
             instant = stamp(data)
         except MessageError:
             # Reported by the handler of the message.
             return
-        now = self._now()
+        now = received or self._now()
         self.lag = None if not instant or not now else now - instant
 
 

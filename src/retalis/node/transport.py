@@ -24,8 +24,10 @@ from typing import (
     Protocol,
     Sequence,
     Set,
+    Tuple,
 )
 
+from ..engine.service_calls import ServiceCall
 from ..events.knowledge.transform_buffer import TransformBuffer
 from ..events.program.topic_configuration import ANY_QUALITY, QualityOfService
 from ..messages.type_definition import Definition, SerializationFormat
@@ -73,12 +75,20 @@ class MessageReceiver(Protocol):
     reads_transforms: bool
 
     def convert(self, message: bytes) -> Any:
-        """Return the event of a message with its instant; None if it is dropped. Errors are reported here."""
+        """Return the event of a message with its instant, or a list of them; None if it is dropped.
 
-    def receive(self, messages: List[bytes]) -> None:
+        Errors are reported here.
+        """
+
+    def receive(self, messages: List[bytes], received: Sequence[int] = ()) -> None:
         """Process serialized messages that were read together. Errors are reported here and not raised.
 
         The time between two calls shows whether the source waits for this node, which is a sign of lost messages.
+
+        Args:
+            messages: the messages, in the order of their reception.
+            received: instants of the machine's clock at which the middleware has received them, in nanoseconds since
+                the epoch, 0 if unknown; empty if the middleware does not tell.
         """
 
     def record_lost(self, count: int) -> None:
@@ -152,6 +162,23 @@ class Mismatch(NamedTuple):
     reason: str
 
 
+class GraphChange(NamedTuple):
+    """A change of the graph; the slots of ``msg/GraphChange.msg``.
+
+    Attributes:
+        kind: what has changed; see the message.
+        node: full name of the node; "" if the change is not one of a single node.
+        name: full name of the topic, name of the parameter, or state of the life cycle; "" if the change is one of a
+            node.
+        detail: further facts, as text.
+    """
+
+    kind: str
+    node: str = ""
+    name: str = ""
+    detail: str = ""
+
+
 class NodeGraph(NamedTuple):
     """Nodes with their topics and services.
 
@@ -177,9 +204,11 @@ class MessageTransport(Protocol):
 
     Attributes:
         format: serialization of the messages that are published; sources state that of theirs.
+        received_formats: serializations that sources may have. ROS 1 and ROS 2 have different topics for actions.
     """
 
     format: SerializationFormat
+    received_formats: Tuple[SerializationFormat, ...]
 
     def now(self) -> int:
         """Return the time in nanoseconds since the epoch; 0 while simulated time is unknown."""
@@ -269,6 +298,26 @@ class Transport(MessageTransport, Protocol):
     def parameters(self) -> Dict[str, Any]:
         """Return the node's own parameters by name, without ``~``, as plain values, lists and dictionaries."""
 
+    def refresh_ros_parameters(self) -> None:
+        """Read the parameters that `ros_parameter` returns from now on; may wait for other processes.
+
+        Called before the program is loaded and before each reload. Later changes of these parameters are followed
+        where the middleware reports them.
+
+        Raises:
+            RetalisError: if they cannot be read; the previous ones stay.
+        """
+
+    def ros_parameter(self, name: str) -> Any:
+        """Return the last known value of a parameter for a goal, without waiting.
+
+        Args:
+            name: name as written in the goal; ``~name`` belongs to the node.
+
+        Raises:
+            KeyError: if there is no such parameter.
+        """
+
     def installed_types(self, include_rosbags: bool = True) -> InstalledTypes:
         """Return the message types of this machine: ``InstalledTypes(include_rosbags=include_rosbags)`` in general.
 
@@ -292,11 +341,36 @@ class Transport(MessageTransport, Protocol):
                 bug of the handler.
         """
 
+    def resolve_service(self, name: str) -> str:
+        """Return the full name of a service, after remapping and in the node's namespace.
+
+        Raises:
+            UsageError: if the name is invalid.
+        """
+
+    def call_service(self, name: str, call: ServiceCall) -> None:
+        """Call a service of another node. This does not wait, because it runs in the engine's turn.
+
+        The transport ends the call by its method ``reply`` with the serialized response, or by ``fail`` if no node
+        offers the service, its type differs, or its node reports an error. If the call ends otherwise, because its
+        time is over, the transport releases what it holds for it (``on_end``).
+
+        Args:
+            name: full name of the service.
+            call: the call, with the types and the serialized request.
+
+        Raises:
+            RetalisError: if it cannot be called now.
+        """
+
     def graph(self) -> Optional[NodeGraph]:
         """Return the nodes with their topics and services; None if they cannot be found out now.
 
         Topics without publishers may be missing.
         """
+
+    def watch_nodes(self, report: Callable[[GraphChange], object]) -> None:
+        """Report changes of the parameters and life cycles of nodes from now on, if the middleware has these."""
 
     def on_shutdown(self, callback: Callable[[], object]) -> None:
         """Call a function when the node ends, after `is_shut_down` is true; timers may no longer fire then.

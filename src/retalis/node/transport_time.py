@@ -8,6 +8,7 @@ from typing import Callable, ContextManager, Optional, Sequence, Tuple
 from ..engine.runtime.clock_epochs import ClockEpochs
 from ..engine.runtime.problem_reports import Reports
 from ..events.clock.clock import Alarm, Clock
+from ..prolog.terms.timestamps import SECOND
 from .transport import Timer, Transport
 
 log = logging.getLogger("retalis")
@@ -73,6 +74,8 @@ class SimulatedTime:
                     # The next step continues the work of this one.
                     self._reports.error(error)
 
+        # A thread that waits would keep the program alive; a node of ROS 2 may start and end any number of programs.
+        self._transport.on_shutdown(self._wake_up.set)
         threading.Thread(target=update_epochs, daemon=True, name="epochs of the clock").start()
         self._transport.on_clock(epochs.update_clock)
 
@@ -163,6 +166,36 @@ class HostClock(Clock):
         self._timer = self._timer_instant = None
         if self._wake_engine is not None:
             self._wake_engine()
+
+
+MAX_RECEIPT_AGE = 60 * SECOND
+"""Age in ns from which the instant of a reception is not used: middlewares may have another clock."""
+
+
+class ReceiptStamps:
+    """Receipt stamps for messages without a stamp, by the instants at which the middleware has received them.
+
+    A message may wait for the engine. Its event has the time of its reception nevertheless, as in a bag, and not that
+    of its processing. Stamps increase strictly in the order of processing, as those of the engine do.
+
+    Args:
+        now: clock of the machine in nanoseconds.
+    """
+
+    def __init__(self, now: Callable[[], int]) -> None:
+        self._now = now
+        self._last = 0
+
+    def stamp(self, received: int) -> Optional[int]:
+        """Return the stamp of a message; None if the instant of its reception cannot be one."""
+        now = self._now()
+        if not now - MAX_RECEIPT_AGE < received <= now:
+            return None
+        # Messages of several topics are not always read in order. If the clock was set back, stamps follow it.
+        if received <= self._last <= now:
+            received = self._last + 1
+        self._last = received
+        return received
 
 
 class Receipts:

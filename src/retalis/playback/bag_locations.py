@@ -41,20 +41,24 @@ Bag = Union[SingleBag, "MergedBag"]
 """Any bag that a program can be run over."""
 
 
-def open_bag(path: PathLike, max_chunk_megabytes: int = MAX_CHUNK_MEGABYTES) -> SingleBag:
+def open_bag(
+    path: PathLike, max_chunk_megabytes: int = MAX_CHUNK_MEGABYTES, message_folders: Sequence[str] = ()
+) -> SingleBag:
     """Open a bag of ROS 1 (a file) or of ROS 2 (a folder, or a file whose name ends with one of `SUFFIXES`).
 
     Args:
         path: path of the bag.
         max_chunk_megabytes: maximum size of a chunk or compressed message after decompression. A compressed file may
             have a hundred times its own size after decompression if that is more.
+        message_folders: folders with the types that a bag of ROS 2 does not define; see `InstalledTypes`.
 
     Raises:
         BagError: if the bag cannot be read.
     """
     path = Path(path)
-    is_of_ros2 = path.is_dir() or (path.is_file() and path.name.endswith(SUFFIXES))
-    return (Ros2BagReader if is_of_ros2 else BagReader)(path, max_chunk_megabytes)
+    if path.is_dir() or (path.is_file() and path.name.endswith(SUFFIXES)):
+        return Ros2BagReader(path, max_chunk_megabytes, message_folders)
+    return BagReader(path, max_chunk_megabytes)
 
 
 class MergedBag:
@@ -68,7 +72,7 @@ class MergedBag:
         paths: bags of ROS 1 or of ROS 2.
         start: seconds to skip after the first message of all bags.
         duration: seconds to read from there; up to the end by default.
-        max_chunk_megabytes: as for `open_bag`.
+        max_chunk_megabytes, message_folders: as for `open_bag`.
 
     Attributes:
         path: description of the bags for messages.
@@ -87,13 +91,14 @@ class MergedBag:
         start: float = 0.0,
         duration: Optional[float] = None,
         max_chunk_megabytes: int = MAX_CHUNK_MEGABYTES,
+        message_folders: Sequence[str] = (),
     ):
         _reject_duplicates(paths)
         # The bags that are open already are closed if a later one cannot be opened.
         with ExitStack() as stack:
             self._bags: List[SingleBag] = []
             for path in paths:
-                self._bags.append(open_bag(path, max_chunk_megabytes))
+                self._bags.append(open_bag(path, max_chunk_megabytes, message_folders))
                 stack.callback(self._bags[-1].close)
             self._select_interval(start, duration)
             self._stack = stack.pop_all()

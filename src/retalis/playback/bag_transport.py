@@ -86,6 +86,7 @@ class BagTransport:
 
     Attributes:
         format: serialization of outputs.
+        received_formats: those of all bags.
         clock: time of the bag, moved by whoever plays it.
         publications: advertised topics by full name.
         receivers: receivers of the messages of each connection, by the identity of its `Topic`: hashing a topic would
@@ -94,6 +95,10 @@ class BagTransport:
 
     def __init__(self) -> None:
         self.format = SerializationFormat.ROS1
+        self.received_formats: Tuple[SerializationFormat, ...] = (
+            SerializationFormat.ROS1,
+            SerializationFormat.CDR,
+        )
         self.clock = StreamClock(0)
         self.publications: Dict[str, BagPublication] = {}
         self.receivers: Dict[int, Tuple[MessageReceiver, ...]] = {}

@@ -58,16 +58,18 @@ from ..foundation.errors import (
     MessageError,
     ProgramErrors,
     RetalisError,
+    UsageError,
     format_count,
     quote_shortened,
 )
 from ..foundation.interrupts import check_interrupt, interruptible
 from ..foundation.ros_name_checks import ros1_type_name, topic_fault, type_fault
+from ..messages.action_events import ACTION_EVENTS, find_action_event
 from ..messages.transform_messages import TRANSFORM_TOPICS
 from ..messages.type_definition import Definition
 from ..messages.type_registry import Definitions
 from ..node.running_program import OutputCallbacks, ProgramContext, RunningProgram, make_event_handler
-from ..node.subscribed_topics import MessageProcessing, ReadingOptions
+from ..node.subscribed_topics import MessageProcessing, ReadingOptions, list_endpoints
 from ..node.transport import MessageSource
 from ..prolog.syntax.term_writer import canonical_text
 from ..prolog.terms.types import Term
@@ -108,6 +110,18 @@ class Output(NamedTuple):
     id: Optional[Term] = None
 
 
+class TimedCall(NamedTuple):
+    """A function to call at a time of a bag, while the engine is idle.
+
+    Attributes:
+        time: the time in nanoseconds; messages of this time are processed before.
+        call: the function, which may call the engine.
+    """
+
+    time: int
+    call: Callable[[], object]
+
+
 class Playback:
     """A program that processes messages from bags.
 
@@ -125,11 +139,13 @@ class Playback:
         settings: settings of the engine.
         max_skew: limit in seconds for the deviation of a stamp from the clock of its topic and frame; messages beyond
             it are dropped. Unlimited by default.
-        bag: a bag whose types the program may use with named slots, in addition to the installed types.
+        bag: a bag whose types the program may use with named slots and constants, in addition to the installed
+            types.
         state: state of an engine with this program (`Engine.snapshot`) to continue from; a new engine by default.
         direct: value of the node's parameter ``~direct``: topics that are subscribed without the program naming them;
             by default ``tf`` and ``ar_pose_marker``, unless the program names them.
         definitions: the known message types, to which those of bags are added; the installed types by default.
+        prepare: called with the new engine before the program is loaded, for example to answer calls of services.
 
     Raises:
         UsageError: if a file of the program cannot be read, or the state is invalid.
@@ -146,6 +162,7 @@ class Playback:
         state: Optional[bytes] = None,
         direct: DirectTopics = AUTO,
         definitions: Optional[Definitions] = None,
+        prepare: Callable[[Engine], object] = lambda engine: None,
     ):
         self._folder = folder = Path(program)
         self._transport = BagTransport()
@@ -153,7 +170,9 @@ class Playback:
         # A bag can contain a million messages with the same problem.
         self._reports = Reports(once=True)
         self._skew_monitor = ClockSkewMonitor(self._reports, self.clock.now, self.clock.now, max_skew)
-        self.definitions = Definitions() if definitions is None else definitions
+        topic_file = read_topics(folder / TOPICS)
+        definitions = Definitions() if definitions is None else definitions
+        self.definitions = definitions.with_strings(topic_file.strings)
         self._on_error = report
         self._register_types(bag.topics if bag is not None else ())
         if state is None:
@@ -162,17 +181,23 @@ class Playback:
             self.engine = Engine.restore(
                 state, self.clock, settings, self._reports, self.definitions, folder=folder
             )
+        if self.engine.strings != topic_file.strings:
+            raise UsageError(
+                f'the strings of messages are "{topic_file.strings}" in {folder / TOPICS}, but the state is of a '
+                f'program with "{self.engine.strings}": load the program without the state'
+            )
+        prepare(self.engine)
         self._outputs: List[Output] = []
-        topic_file = read_topics(folder / TOPICS)
         self._latched_topics = set(map(self._transport.resolve_topic, topic_file.latched))
         added_topics = [TopicType(topic.topic, ros1_type_name(topic.type)) for topic in topics]
         self._program = self._create_program(topic_file, added_topics, direct)
         # Topics that the caller lists must be in the bag; those of `AUTO` need not be.
         listed_topics = direct if isinstance(direct, tuple) else ()
-        self._topic_names = [topic for topic, _ in (*topic_file.subscribed, *listed_topics, *added_topics)]
-        """Names, as written, of the topics that a bag should have."""
-        self._requested_names: List[str] = []
+        self._needed_topics = [*topic_file.subscribed, *listed_topics, *added_topics]
+        """Topics, as written, that a bag should have."""
+        self._requested_topics: List[TopicType] = []
         """Topics that goals have requested since the last message."""
+        self._is_checked = False
         self._program.accept_requests(self._subscribe)
         self._program.open_topics(may_learn_types=True)
         self._program.start_transforms(self._program.subscribe_transforms)
@@ -229,6 +254,8 @@ class Playback:
         progress: Callable[[int], object] = lambda done: None,
         is_last: bool = True,
         flush_time: int = 0,
+        calls: Iterable[TimedCall] = (),
+        requires_topics: bool = True,
     ) -> Iterable[Output]:
         """Process a bag, and yield the outputs of the program as they are published.
 
@@ -244,26 +271,29 @@ class Playback:
                 end.
             flush_time: nanoseconds by which the clock runs on after the end of the last bag, so that windows and
                 states within it end.
+            calls: functions to call between the messages, ordered by time; none is later than the end of the bag.
+            requires_topics: whether to warn about topics of ``pub_sub.xml``, and transforms, that the bag lacks.
         """
         outputs, engine, program = self._outputs, self.engine, self._program
         transforms = engine.program.knowledge.transforms
         program.require_transforms()
         # A further bag may have been recorded with other clocks.
         self._skew_monitor.reset()
-        self._warn_about_missing_topics(bag, self._topic_names)
-        self._requested_names.clear()
+        if requires_topics:
+            self._warn_about_missing_topics(bag, self._needed_topics)
+        self._requested_topics.clear()
         topic_names, refused = self._transport.start(bag)
         self._report_refused(refused)
-        # The bag may have defined types that the program publishes.
-        program.published.advertise_learned_types()
-        with interruptible():
-            # The checks read the program, and import what reads installed message types.
-            program.log_mistakes(self._folder, self.definitions)
-        if transforms.is_required and not self._transport.has_transforms():
+        # The bag may have defined types that the program publishes, or whose constants it names.
+        program.use_learned_types()
+        engine.fail_interrupted_calls()
+        if not self._is_checked:
+            self.log_mistakes()
+        if requires_topics and transforms.is_required and not self._transport.has_transforms():
             log.warning(
                 "%s has no transforms on %s, which the program reads", bag.path, " or ".join(TRANSFORM_TOPICS)
             )
-        records = self._read_records(bag, topic_names)
+        records = self._read_records(bag, topic_names, calls)
         message_numbers = count(1)
         # Each iteration is one batch: `records` yields None before it continues outside `post_each`.
         for record in records:
@@ -291,6 +321,16 @@ class Playback:
         self._skew_monitor.log_counts()
         self._reports.sum_up()
 
+    def log_mistakes(self) -> None:
+        """Log probable mistakes in the program; `run` does it once if this has not been called.
+
+        >>> Playback(folder, report=print).log_mistakes()
+        """
+        self._is_checked = True
+        with interruptible():
+            # The checks read the program, and import what reads installed message types.
+            self._program.log_mistakes(self._folder, self.definitions)
+
     def is_latched(self, topic: str) -> bool:
         """Return whether ``pub_sub.xml`` declares a topic as latched.
 
@@ -317,21 +357,29 @@ class Playback:
             # Messages of topics with an unusable type have no receivers, but move the clock.
             for receiver in receivers[id(topic)]:
                 message = receiver.convert(data)
-                if message is not None:
+                if message.__class__ is list:
+                    yield from message
+                elif message is not None:
                     yield message
             count_message()
             if outputs:
                 return
 
-    def _read_records(self, bag: Bag, topics: Set[str]) -> Iterator[Optional[Record]]:
+    def _read_records(
+        self, bag: Bag, topics: Set[str], calls: Iterable[TimedCall]
+    ) -> Iterator[Optional[Record]]:
         """Yield the messages of topics, including topics that goals subscribe to while the bag is played.
 
         Alarms fire before the message that follows them is yielded, and all of them after the last message. Before
-        they fire, and before new topics are read, None is yielded: the caller must leave `Engine.post_each` before it
-        requests the next item.
+        they fire, before new topics are read, and before scheduled functions are called, None is yielded: the caller
+        must leave `Engine.post_each` before it requests the next item.
         """
         has_new_topics = self._transport.has_new_subscriptions
-        stream = iter(bag.records(topics))
+        stream: Iterator[Union[Record, TimedCall]] = iter(bag.records(topics))
+        # A stream without calls is not merged, which would cost time for each message.
+        calls = tuple(calls)
+        if calls:
+            stream = iter(merge(stream, calls, key=_get_time))
         while True:
             record = next(stream, None)
             alarm = self.clock.next_alarm()
@@ -349,21 +397,27 @@ class Playback:
                 stream = iter(merge(remaining, self._read_new_topics(bag), key=_get_time))
             elif record is None:
                 return
+            elif record.__class__ is TimedCall:
+                yield None
+                self.clock.move_to(record.time, back=True)
+                self.engine.advance()
+                record.call()
             else:
-                yield record
+                yield record  # type: ignore[misc]
 
     def _read_new_topics(self, bag: Bag) -> Iterator[Record]:
         """Return the messages after the current time of the topics that goals have just subscribed to."""
-        self._warn_about_missing_topics(bag, self._requested_names)
-        self._requested_names.clear()
+        self._warn_about_missing_topics(bag, self._requested_topics)
+        self._requested_topics.clear()
         joining_topics, refused = self._transport.connect(bag)
         self._report_refused(refused)
         return bag.records(joining_topics, start=self.clock.now() + 1)
 
     def _subscribe(self, request: TopicRequest) -> None:
         """Convert the messages of a topic to events, from the current time on, or from the start of the next bag."""
-        self._topic_names.append(request.topic)
-        self._requested_names.append(request.topic)
+        topic = TopicType(request.topic, request.message_type)
+        self._needed_topics.append(topic)
+        self._requested_topics.append(topic)
         self._program.subscribed.try_to_subscribe(request)
 
     def _fire_alarms_until(self, first_time: int, limit: int) -> None:
@@ -372,12 +426,7 @@ class Playback:
         # Timers that were started before the bag count from its first message.
         if not clock.reached():
             clock.move_to(first_time)
-        clock.head_for(limit)
-        alarm = clock.next_alarm()
-        while alarm is not None and alarm <= limit and not has_new_topics():
-            clock.move_to(alarm)
-            self.engine.advance()
-            alarm = clock.next_alarm()
+        clock.fire_alarms(limit, self.engine.advance, has_new_topics)
 
     def _register_types(self, topics: Iterable[Topic]) -> None:
         """Register the unknown types of a bag; errors are reported when the bag is played."""
@@ -388,11 +437,10 @@ class Playback:
             except MessageError as error:
                 log.debug("%s", error)
 
-    def _warn_about_missing_topics(self, bag: Bag, requested: Iterable[str]) -> None:
+    def _warn_about_missing_topics(self, bag: Bag, requested: Iterable[TopicType]) -> None:
         """Warn about topics that a bag does not have."""
-        resolve_topic = self._transport.resolve_topic
-        available = set(map(resolve_topic, list_topic_names(bag)))
-        missing = [topic for topic in requested if resolve_topic(topic) not in available]
+        available = set(map(self._transport.resolve_topic, list_topic_names(bag)))
+        missing = [name for topic in requested for name in self._list_missing(topic, available)]
         if missing:
             log.warning(
                 "%s has no messages on %s; it has %s",
@@ -401,10 +449,30 @@ class Playback:
                 ", ".join(_describe_topics(bag.topics)) or "none at all",
             )
 
+    def _list_missing(self, needed: TopicType, available: Set[str]) -> List[str]:
+        """Return the name of a topic or action that is not available, as a list of at most one name.
+
+        An action needs one of its topics: of the others, servers do not publish each.
+        """
+        event = find_action_event(needed.type)
+        action = None if event is None else event.action_topic(needed.topic)
+        topics = [needed]
+        if event is not None and action is not None:
+            topics = [
+                TopicType(f"{action}/{kind}", event._replace(kind=kind).type_name) for kind in ACTION_EVENTS
+            ]
+        is_available = any(not available.isdisjoint(self._list_names(topic)) for topic in topics)
+        return [] if is_available else [needed.topic if action is None else f"action {action}"]
+
+    def _list_names(self, topic: TopicType) -> List[str]:
+        """Return the full names of the topics of a bag that are read as a topic of the program."""
+        name = self._transport.resolve_topic(topic.topic)
+        return [endpoint.topic for endpoint in list_endpoints(name, topic.type, self._transport)]
+
     def _report_refused(self, refused: Iterable[RefusedConnection]) -> None:
         """Report connections whose type does not fit. On a topic that is subscribed by default, this is no error."""
         resolve_topic = self._transport.resolve_topic
-        needed_topics = set(map(resolve_topic, self._topic_names))
+        needed_topics = {name for topic in self._needed_topics for name in self._list_names(topic)}
         dropped_counts: Dict[Tuple[str, bool], int] = Counter()
         for topic, error in refused:
             is_needed = resolve_topic(topic.name) in needed_topics

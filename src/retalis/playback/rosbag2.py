@@ -20,13 +20,13 @@ from itertools import islice, takewhile
 from operator import attrgetter
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any, Callable, Collection, Dict, Iterator, List, Optional, Tuple, Union
+from typing import Any, Callable, Collection, Dict, Iterator, List, Optional, Sequence, Tuple, Union
 
 from ..foundation.errors import MessageError, format_count, quote_shortened, shorten
 from ..foundation.ros_name_checks import ros1_type_name, strip_slashes, topic_fault
-from ..messages.ros2_definitions import parse_ros2_type
+from ..messages.ros2_definitions import BUILTIN_DEFINITIONS
 from ..messages.type_definition import Definition, SerializationFormat
-from ..messages.type_registry import Definitions, InstalledTypes
+from ..messages.type_registry import Definitions, InstalledTypes, parse_ros2_type
 from .decompression import MAX_CHUNK_MEGABYTES, ChunkLimit, copy_up_to, describe_error, zstd_reader
 from .mcap_file import McapFile
 from .ros2_storage import Connection, merge_by_time
@@ -58,19 +58,29 @@ MAX_METADATA_BYTES = 4_000_000
 class Ros2BagReader:
     """A ROS 2 bag opened for reading: a folder with ``metadata.yaml``, or one of its files.
 
-    Types have the names of ROS 1. Arguments, attributes, and methods are those of `BagReader`.
+    Types have the names of ROS 1. Attributes and methods are those of `BagReader`.
+
+    Args:
+        path: path of the bag.
+        max_chunk_megabytes: as for `BagReader`.
+        message_folders: folders with the types that the bag does not define; see `InstalledTypes`.
 
     Raises:
         BagError: if the bag cannot be read.
     """
 
-    def __init__(self, path: PathLike, max_chunk_megabytes: int = MAX_CHUNK_MEGABYTES):
+    def __init__(
+        self,
+        path: PathLike,
+        max_chunk_megabytes: int = MAX_CHUNK_MEGABYTES,
+        message_folders: Sequence[str] = (),
+    ):
         self.path = Path(path)
         self._limit = ChunkLimit(max_chunk_megabytes)
         self._stack = ExitStack()
         files, self._has_packed_messages = _open_files(self.path, self._limit, self._stack)
         unreadable: List[UnreadableTopic] = []
-        self._topics = _read_topics(files, unreadable)
+        self._topics = _read_topics(files, unreadable, message_folders)
         self.unreadable: Tuple[UnreadableTopic, ...] = tuple(unreadable)
         self.topics: Tuple[Topic, ...] = tuple(self._topics.values())
         self.messages = sum(connection.messages for file in files for connection in file.connections)
@@ -166,7 +176,9 @@ class Ros2BagReader:
         self.close()
 
 
-def _read_topics(files: List[Storage], unreadable: List[UnreadableTopic]) -> Dict[Tuple[str, str], Topic]:
+def _read_topics(
+    files: List[Storage], unreadable: List[UnreadableTopic], message_folders: Sequence[str]
+) -> Dict[Tuple[str, str], Topic]:
     """Return the readable topics by name and type; append the others to ``unreadable``."""
     merged: Dict[Tuple[str, str], Connection] = {}
     for file in files:
@@ -177,7 +189,7 @@ def _read_topics(files: List[Storage], unreadable: List[UnreadableTopic]) -> Dic
                 messages = previous.messages + connection.messages
                 connection = (previous if previous.definition else connection)._replace(messages=messages)
             merged[key] = connection
-    types = _Types()
+    types = _Types(message_folders)
     topics: Dict[Tuple[str, str], Topic] = {}
     for key, connection in merged.items():
         try:
@@ -191,13 +203,13 @@ def _read_topics(files: List[Storage], unreadable: List[UnreadableTopic]) -> Dic
 class _Types:
     """Resolver of the types of a bag: definitions in the bag first, then those of ROS 2, then installed ones."""
 
-    def __init__(self) -> None:
+    def __init__(self, message_folders: Sequence[str]) -> None:
         from rosbags import typesys  # noqa: PLC0415 - an optional package
 
         self._typesys: Any = typesys
         # Types of ROS 2 that bags without definitions refer to.
         self._ros2_store: Any = typesys.get_typestore(typesys.Stores.LATEST)
-        self._installed = InstalledTypes()
+        self._installed = InstalledTypes(extra_folders=message_folders)
         self._by_definition: Dict[Tuple[str, str], Definition] = {}
 
     def read_topic(self, connection: Connection) -> Topic:
@@ -240,7 +252,7 @@ class _Types:
         if name in self._ros2_store.types:
             return str(self._ros2_store.generate_msgdef(name, ros_version=2)[0])
         installed = self._installed.find(type_name)
-        return None if installed is None else installed.text
+        return BUILTIN_DEFINITIONS.get(type_name) if installed is None else installed.text
 
 
 def _make_topic(

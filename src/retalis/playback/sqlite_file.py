@@ -16,6 +16,7 @@ from typing import Any, Collection, Dict, Iterator, List, Optional, Tuple
 
 from ..foundation.interrupts import check_interrupt, is_interrupted
 from ..foundation.read_only_sqlite import open_without_locks
+from ..messages.ros2_definitions import find_interfaces
 from .decompression import ChunkLimit, describe_error
 from .ros2_storage import Connection, Message
 from .rosbag1 import IncompleteBagError
@@ -136,8 +137,13 @@ class SqliteFile:
             "SELECT id, name, type, serialization_format FROM topics"
         ):
             # rosbag2 stores the definition of the events of a service under the name of the service.
-            service = _require_text(name).rpartition("_Event")[0] if "/srv/" in name else name
-            encoding, text = definitions.get(name) or definitions.get(service) or ("", "")
+            owners = find_interfaces(_require_text(name))
+            stored_names = [
+                name,
+                *(interface.name.replace("/", f"/{folder}/") for interface, folder in owners),
+            ]
+            stored_definitions = (definitions.get(stored_name) for stored_name in stored_names)
+            encoding, text = next(filter(None, stored_definitions), ("", ""))
             message_count = counts.get(identifier, 0)
             connections.append(
                 Connection(

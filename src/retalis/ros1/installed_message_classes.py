@@ -7,9 +7,9 @@ all classes of the package.
 
 import sys
 from importlib import import_module
-from typing import Any
+from typing import Any, Optional
 
-from roslib.message import get_message_class
+from roslib.message import get_message_class, get_service_class
 
 from ..foundation.errors import MessageError, quote_shortened
 from ..messages.type_registry import GeneratedClass, InstalledTypes
@@ -28,13 +28,13 @@ def inspect_class(name: str) -> GeneratedClass:
     """Return the attributes of the generated class of a message type; the implementation of `InspectClass`.
 
     Args:
-        name: ``pkg/Type``.
+        name: ``pkg/Type``, or ``pkg/Type_Request`` or ``pkg/Type_Response`` of a service.
 
     Raises:
         MessageError: if the class cannot be imported.
     """
     try:
-        message_class: Any = get_message_class(name)
+        message_class: Any = _find_service_part(name) or get_message_class(name)
     except Exception as error:  # the import can raise any exception, for example SyntaxError for Python 2
         raise _import_error(name, error) from error
     if message_class is None:
@@ -47,6 +47,13 @@ def inspect_class(name: str) -> GeneratedClass:
         tuple(message_class._slot_types),
         str(module.__file__),
     )
+
+
+def _find_service_part(name: str) -> Optional[Any]:
+    """Return the class of the requests or responses of a service; None if the name is not that of one."""
+    service, _, part = name.rpartition("_")
+    service_class = get_service_class(service) if part in ("Request", "Response") else None
+    return getattr(service_class, f"_{part.lower()}_class", None)
 
 
 def _find_import_error(name: str) -> Exception:

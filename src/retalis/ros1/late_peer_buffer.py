@@ -26,7 +26,6 @@ enough to decide which batches it has missed.
 import socket
 import threading
 from collections import deque
-from http.client import HTTPException
 from typing import (
     Any,
     Callable,
@@ -41,7 +40,6 @@ from typing import (
     Set,
     Tuple,
 )
-from xmlrpc.client import Error
 
 import rosgraph
 import rospy
@@ -49,6 +47,7 @@ import rospy
 from ..engine.runtime.problem_reports import Reports
 from ..foundation.errors import RetalisError
 from .connection_writer import TopicWriter
+from .topic_names import MASTER_ERRORS
 
 MAX_BUFFERED_BYTES = 64_000_000
 """Limit for buffered texts, and separately for latched messages."""
@@ -119,7 +118,7 @@ class _ThirdParty(NamedTuple):
     attempts: int
 
 
-class LateJoinerBuffer:
+class LatePeerBuffer:
     """Buffer that delivers texts to the peer and to third parties. Not thread-safe: the caller holds a lock.
 
     Args:
@@ -358,15 +357,15 @@ class SubscriberIdentifier(rospy.SubscribeListener):  # type: ignore[misc]
 
     def start(
         self,
-        late_joiners: LateJoinerBuffer,
+        peer_buffer: LatePeerBuffer,
         lock: ContextManager[object],
         publishers: Optional[Publishers] = None,
     ) -> None:
         """Start the thread that identifies subscribers.
 
         Args:
-            late_joiners: receives the result for each subscriber.
-            lock: lock that the caller of ``late_joiners`` holds.
+            peer_buffer: receives the result for each subscriber.
+            lock: lock that the caller of ``peer_buffer`` holds.
             publishers: returns topic and publisher of all connections that deliver messages; latched messages of
                 other publishers are discarded. By default all are stored.
         """
@@ -376,34 +375,34 @@ class SubscriberIdentifier(rospy.SubscribeListener):  # type: ignore[misc]
             while not rospy.is_shutdown():
                 self._wake_up.wait(None if all_identified else IDENTIFICATION_INTERVAL_SECONDS)
                 self._wake_up.clear()
-                all_identified = _identify_all(late_joiners, lock, publishers)
+                all_identified = _identify_all(peer_buffer, lock, publishers)
 
         self._wake_up.set()
         threading.Thread(target=run, daemon=True, name="identifying subscribers").start()
 
 
 def _identify_all(
-    late_joiners: LateJoinerBuffer, lock: ContextManager[object], publishers: Optional[Publishers]
+    peer_buffer: LatePeerBuffer, lock: ContextManager[object], publishers: Optional[Publishers]
 ) -> bool:
     """Identify all unidentified subscribers; return whether all are identified."""
     with lock:
         unidentified, batch_numbers = (
-            late_joiners.subscribers_to_identify(),
-            late_joiners.latched_batch_numbers(),
+            peer_buffer.subscribers_to_identify(),
+            peer_buffer.latched_batch_numbers(),
         )
     if not unidentified:
         return True
     # The master is asked without the lock: texts are sent meanwhile, and subscribers come and go.
-    peers = find_nodes_offering(late_joiners.peer.service)
+    peers = find_nodes_offering(peer_buffer.peer.service)
     current_publishers: Collection[Hashable] = batch_numbers if publishers is None else publishers()
     with lock:
         # A node that subscribed to the topics itself would receive nothing from publishers that have gone.
-        late_joiners.discard(
+        peer_buffer.discard(
             {key: number for key, number in batch_numbers.items() if key not in current_publishers}
         )
-        for connection in set(unidentified) & set(late_joiners.subscribers_to_identify()):
-            late_joiners.identify(connection, getattr(connection, "endpoint_id", None) in peers)
-        return not late_joiners.subscribers_to_identify()
+        for connection in set(unidentified) & set(peer_buffer.subscribers_to_identify()):
+            peer_buffer.identify(connection, getattr(connection, "endpoint_id", None) in peers)
+        return not peer_buffer.subscribers_to_identify()
 
 
 def find_nodes_offering(service: str) -> Set[str]:
@@ -411,7 +410,7 @@ def find_nodes_offering(service: str) -> Set[str]:
     name = rospy.resolve_name(service)
     try:
         services = rosgraph.Master(rospy.get_name()).getSystemState()[2]
-    except (OSError, Error, HTTPException, rosgraph.MasterException) as error:
+    except MASTER_ERRORS as error:
         rospy.logdebug("the master does not say who offers %s: %s", name, error)
         return set()
     return {node for offered, nodes in services if offered == name for node in nodes}

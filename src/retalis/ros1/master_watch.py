@@ -12,13 +12,15 @@ unregisters those that have ended meanwhile.
 import sys
 import threading
 import time
-from http.client import HTTPConnection, HTTPException
+from http.client import HTTPConnection
 from typing import Any, Dict, List, Tuple, Union
-from xmlrpc.client import Error, ServerProxy, Transport
+from xmlrpc.client import ServerProxy, Transport
 
 import rosgraph
 import rospy
 from rospy.impl.registration import get_service_manager
+
+from .topic_names import MASTER_ERRORS
 
 CHECK_INTERVAL_SECONDS = 1.0
 """Seconds between two checks."""
@@ -45,7 +47,7 @@ def wait_for_master() -> None:
         try:
             master.getPid("/retalis")
             return
-        except (OSError, HTTPException, Error) as error:
+        except MASTER_ERRORS as error:
             if not is_reported:
                 is_reported = True
                 text = f"no master answers at {uri} ({error}): waiting for it; roscore starts one"
@@ -82,7 +84,7 @@ class MasterWatch:
         """Check once, and register again if necessary.
 
         Raises:
-            OSError, HTTPException, Error: if the master does not answer.
+            MASTER_ERRORS: if the master does not answer.
         """
         code, _, _ = self._master.lookupService(self._name, self._indicator)
         if code == -1:
@@ -95,7 +97,7 @@ class MasterWatch:
                     return
                 try:
                     self.check()
-                except (OSError, HTTPException, Error) as error:
+                except MASTER_ERRORS as error:
                     rospy.logdebug("the master does not answer: %s", error)
 
     def _stop(self) -> None:

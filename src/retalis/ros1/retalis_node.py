@@ -14,7 +14,7 @@ from ..node.host_context import HostContext
 from ..node.parameters import Parameters
 from ..node.program_host import ProgramHost
 from ..node.subscribed_topics import SubscribedTopics
-from .control_topics import InputTopicChangesReceiver, ProjectionPublisher, SubscriptionPublisher
+from .internode_control_topics import InputTopicChangesReceiver, ProjectionPublisher, SubscriptionPublisher
 from .node_lifecycle import run_node
 from .rospy_transport import RospyTransport
 from .text_topics import RospyTextExchange

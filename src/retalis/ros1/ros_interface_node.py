@@ -5,7 +5,7 @@ With ``direct:=false``, or a list of topics, it converts messages to event texts
 (`TextInterfaceNode`). It then keeps the conversion and the TCP connections to publishers out of the process of the
 engine. Messages go to node ``retalis`` as texts on one topic, in the order in which they were received; outputs come
 back as texts on another. Fields that the program does not read are left out of the texts (projection pushdown,
-`control_topics`).
+`internode_control_topics`).
 """
 
 import threading
@@ -14,6 +14,7 @@ from typing import Iterable, List
 from ..engine.runtime.problem_reports import Reports
 from ..events.dispatch.argument_projection import NOT_READ
 from ..events.program.topic_configuration import Topics, direct_topics
+from ..messages.action_events import STATUS, find_action_event
 from ..messages.decoder import Decoder
 from ..messages.event_text_writer import make_text_writer, write_without_unread
 from ..node.diagnostics import Diagnostics, InputRole, NodeHealth, evaluate_program
@@ -36,7 +37,12 @@ from ..node.topic_statistics import OutputStatus, StartupWarnings
 from ..node.transport import MessageSource
 from ..node.transport_time import Receipts
 from ..prolog.syntax.event_text import event_text
-from .control_topics import InputTopicChanges, ProjectionReceiver, SubscriptionReceiver, announce_direct
+from .internode_control_topics import (
+    InputTopicChanges,
+    ProjectionReceiver,
+    SubscriptionReceiver,
+    announce_direct,
+)
 from .node_lifecycle import run_node
 from .rospy_transport import RospyTransport
 from .text_topics import NO_TEXT_HINT, EventTextPublisher, make_text_handler_factory
@@ -110,7 +116,13 @@ class TextInterfaceNode:
         # After the services: they identify this node to node retalis as soon as it connects; see `late_peer_buffer`.
         subscribed.subscribe_texts(OUTPUT, make_text_handler_factory(self._published.publish_text))
         program_status = evaluate_program(errors, [])
-        StartupWarnings(transport, subscribed.statuses, [topic for topic, _ in topics.subscribed])
+        expected_topics = [
+            topic
+            for topic, message_type in topics.subscribed
+            for event in (find_action_event(message_type),)
+            if event is None or event.kind == STATUS
+        ]
+        StartupWarnings(transport, subscribed.statuses, expected_topics)
         self._diagnostics = Diagnostics(
             transport,
             parameters.diagnostics,

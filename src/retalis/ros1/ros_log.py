@@ -13,6 +13,7 @@ import rospy
 from ..engine.runtime.problem_reports import COUNTED_ATTRIBUTE
 from ..foundation.errors import printable
 from ..node.goal_output import log_counts
+from ..prolog.builtins.listing_and_messages import goal_log
 
 
 class _RosHandler(logging.Handler):
@@ -26,8 +27,10 @@ class _RosHandler(logging.Handler):
             rospy.logerr("%s", text)
         elif record.levelno >= logging.WARNING:
             rospy.logwarn("%s", text)
-        else:
+        elif record.levelno >= logging.INFO:
             rospy.loginfo("%s", text)
+        else:
+            rospy.logdebug("%s", text)
 
 
 def use_line_buffering() -> None:
@@ -54,6 +57,8 @@ def forward_log(logger: logging.Logger) -> None:
     logger.addHandler(_RosHandler())
     logger.setLevel(logging.INFO)
     logger.propagate = False
+    # Rules may log for debugging: rospy drops these records unless its level is lower.
+    goal_log.setLevel(logging.DEBUG)
 
 
 def escape_record(record: logging.LogRecord) -> bool:

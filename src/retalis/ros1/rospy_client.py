@@ -4,7 +4,8 @@ The process itself becomes a ROS node only if a command asks for it.
 """
 
 import socket
-from typing import Any, Callable, Dict, List, Mapping, Optional, Set, Tuple
+from time import monotonic, sleep
+from typing import Any, Callable, Dict, List, Mapping, Optional, Sequence, Set, Tuple
 
 import genpy
 import rosgraph
@@ -12,14 +13,25 @@ import rospy
 from std_msgs.msg import String
 
 from .. import srv
-from ..cli.node_client import RunningNodes
+from ..cli.node_client import CONNECTION_SECONDS, RunningNodes
 from ..foundation.errors import UsageError
-from .control_topics import INPUT_CHANGES_TOPIC
+from ..foundation.interrupts import interruptible
+from ..messages.type_definition import Definition, SerializationFormat
+from ..messages.type_registry import InstalledTypes
+from .connection_writer import serialized_class
 from .genpy_fields import fill_message, read_fields
+from .installed_message_classes import inspect_class
+from .internode_control_topics import INPUT_CHANGES_TOPIC
 from .master_watch import MasterWatch
+from .topic_names import MASTER_ERRORS
 
 MASTER_TIMEOUT_SECONDS = 5.0
 """Timeout in seconds for calls of the master."""
+
+MAX_QUEUED_MESSAGES = 1000
+"""Number of messages that are queued for a slow subscriber; beyond it, the oldest are dropped."""
+
+_POLL_SECONDS = 0.02
 
 _OWN_NAME = "retalis_command_line"
 
@@ -30,9 +42,13 @@ class RospyClient:
     Attributes:
         namespace: namespace of the environment variable ``ROS_NAMESPACE``.
         scope: empty: there is one master.
+        end_of_time: end of the unsigned seconds of ROS 1.
+        format: serialization of ROS 1.
     """
 
     scope = ""
+    end_of_time = 1 << 32
+    format = SerializationFormat.ROS1
 
     def __init__(self) -> None:
         self.namespace = str(rosgraph.names.get_ros_namespace())
@@ -41,6 +57,9 @@ class RospyClient:
     def resolve_node(self, name: str) -> str:
         """See `ClientConnection`."""
         return str(rosgraph.names.resolve_name(name, f"{self.namespace}{_OWN_NAME}"))
+
+    def limit_discovery(self, seconds: float) -> None:
+        """Do nothing: the master knows all nodes."""
 
     def find_nodes(self, requested_name: Optional[str] = None) -> RunningNodes:
         """See `ClientConnection`. The master knows all nodes: there is nothing to wait for."""
@@ -67,6 +86,30 @@ class RospyClient:
             self._master_watch.start()
         rospy.Subscriber(topic, String, lambda message: receive(message.data))
 
+    def installed_types(self, extra_folders: Sequence[str]) -> InstalledTypes:
+        """See `ClientConnection`."""
+        return InstalledTypes(extra_folders=extra_folders, inspect_class=inspect_class)
+
+    def advertise(self, topic: str, definition: Definition) -> Callable[[bytes], object]:
+        """See `ClientConnection`."""
+        message_class = serialized_class(definition)
+        publisher = rospy.Publisher(topic, message_class, queue_size=MAX_QUEUED_MESSAGES)
+        end = monotonic() + CONNECTION_SECONDS
+        subscribers = _nodes_by_name(get_system_state()[1]).get(topic, ())
+        with interruptible():
+            while publisher.get_num_connections() < max(1, len(subscribers)) and monotonic() < end:
+                sleep(_POLL_SECONDS)
+        # A subscriber that has ended without the master's knowledge never connects.
+        if not publisher.get_num_connections():
+            raise UsageError(f"topic {topic}: no node subscribes to it")
+
+        def publish(data: bytes) -> None:
+            message = message_class()
+            message._buff = data
+            publisher.publish(message)
+
+        return publish
+
     def end(self) -> None:
         """See `ClientConnection`."""
         rospy.signal_shutdown("done")
@@ -85,9 +128,11 @@ def get_system_state() -> List[List[Tuple[str, List[str]]]]:
     socket.setdefaulttimeout(MASTER_TIMEOUT_SECONDS)
     try:
         state: List[List[Tuple[str, List[str]]]] = master.getSystemState()
-    except (OSError, rosgraph.MasterException) as error:
+    except MASTER_ERRORS as error:
         uri = rosgraph.get_master_uri()
-        raise UsageError(f"no master answers at {uri}: start one (roscore), or set ROS_MASTER_URI") from error
+        raise UsageError(
+            f"no master answers at {uri}: {error}: start one (roscore), or set ROS_MASTER_URI"
+        ) from error
     finally:
         socket.setdefaulttimeout(default_timeout)
     return state

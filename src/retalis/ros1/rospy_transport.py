@@ -3,26 +3,30 @@
 import time
 from pathlib import Path
 from struct import Struct
-from typing import TYPE_CHECKING, Any, Callable, Dict, List, Mapping, NamedTuple, Optional
+from typing import TYPE_CHECKING, Any, Callable, Dict, List, Mapping, NamedTuple, Optional, Tuple
 
 import rosgraph
 import rospkg
 import rospy
 from rosgraph_msgs.msg import Clock as ClockMessage
+from rospy.impl.paramserver import get_param_server_cache
 from rospy.rostime import is_wallclock
 
 from ..engine.runtime.problem_reports import Reports
+from ..engine.service_calls import ServiceCall
 from ..events.program.topic_configuration import ANY_QUALITY, QualityOfService
 from ..foundation.bounded_caches import Cache
 from ..foundation.errors import RetalisError, UsageError, shorten
 from ..messages.type_definition import Definition, SerializationFormat
 from ..messages.type_registry import InstalledTypes
-from ..node.transport import Connect, MessageReceiver, MessageSource, NodeGraph
+from ..node.service_caller import CallThreads
+from ..node.transport import Connect, GraphChange, MessageReceiver, MessageSource, NodeGraph
 from .batched_socket_reader import read_in_batches, refuse_own_connection
 from .connection_writer import TopicWriter, serialized_bytes, serialized_class
 from .genpy_fields import fill_message, read_fields
 from .installed_message_classes import installed_types
-from .startup_queue import StartupQueue, SubscriberWait
+from .publisher_startup_queue import StartupQueue, SubscriberWait
+from .rospy_service_call import call_service
 from .tf2_buffer import choose_buffer
 from .topic_names import MASTER_ERRORS, resolve
 
@@ -196,6 +200,7 @@ class RospyTransport:
 
     Attributes:
         format: serialization of published messages.
+        received_formats: that of received messages, which is the same.
         node_name: full name of this node.
         is_time_simulated: whether time comes from ``/clock``.
         create_transform_buffer: creates the buffer of transforms: tf2's, if it is installed.
@@ -203,8 +208,10 @@ class RospyTransport:
 
     def __init__(self, reports: Reports):
         self.format = SerializationFormat.ROS1
+        self.received_formats: Tuple[SerializationFormat, ...] = (self.format,)
         self._reports = reports
         self._subscriber_wait = SubscriberWait(reports)
+        self._call_threads = CallThreads()
         self._clock_subscribers: List[rospy.Subscriber] = []
         self.node_name = str(rospy.get_name())
         self.is_time_simulated = not is_wallclock()
@@ -229,6 +236,20 @@ class RospyTransport:
     def parameters(self) -> Dict[str, Any]:
         """See `Transport`."""
         return dict(rospy.get_param("~", {}))
+
+    def refresh_ros_parameters(self) -> None:
+        """See `Transport`. The master reports changes and deletions of the parameters that exist now."""
+        master = rosgraph.Master(self.node_name)
+        try:
+            parameters = master.subscribeParam(rospy.get_node_uri(), "/")
+        except MASTER_ERRORS as error:
+            raise UsageError(f"the parameters of the master cannot be read: {shorten(str(error))}") from error
+        # The cache in which rospy stores the changes that the master reports.
+        get_param_server_cache().set("/", parameters)
+
+    def ros_parameter(self, name: str) -> Any:
+        """See `Transport`."""
+        return get_param_server_cache().get(rospy.resolve_name(name))
 
     def resolve_topic(self, topic: str) -> str:
         """See `Transport`."""
@@ -285,6 +306,14 @@ class RospyTransport:
 
         rospy.Service(name, service_class, handle)
 
+    def resolve_service(self, name: str) -> str:
+        """See `Transport`. Names of services are resolved as those of topics."""
+        return resolve(name)
+
+    def call_service(self, name: str, call: ServiceCall) -> None:
+        """See `Transport`."""
+        self._call_threads.start(call_service, name, call)
+
     def graph(self) -> Optional[NodeGraph]:
         """See `Transport`."""
         master = rosgraph.Master(self.node_name)
@@ -301,6 +330,9 @@ class RospyTransport:
             {service: set(nodes) for service, nodes in services},
             {topic: set(nodes) for topic, nodes in subscribed},
         )
+
+    def watch_nodes(self, report: Callable[[GraphChange], object]) -> None:
+        """Do nothing: nodes have no life cycle, and the parameters of the master are read at the start."""
 
     def on_shutdown(self, callback: Callable[[], object]) -> None:
         """See `Transport`."""

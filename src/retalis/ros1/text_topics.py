@@ -1,7 +1,7 @@
 """Events as text on the ``std_msgs/String`` topics between node ``retalis`` and the interface node.
 
 `EventTextPublisher` sends events to node ``retalis``, `OutputTextPublisher` sends outputs to the interface. Both
-deliver through a `LateJoinerBuffer`. Some texts are *marks*, control texts for the receiver: one announces the clock
+deliver through a `LatePeerBuffer`. Some texts are *marks*, control texts for the receiver: one announces the clock
 epoch of the texts after it, another describes the latched message after it. A mark has the syntax of an event, so
 that other subscribers can read the stream.
 
@@ -46,7 +46,7 @@ from ..node.topic_statistics import OutputStatus, describe_publication
 from ..node.transport_time import Receipts
 from ..prolog.terms.types import Term
 from .connection_writer import TopicWriter
-from .late_peer_buffer import ENGINE, INTERFACE, LateJoinerBuffer, Publishers, SubscriberIdentifier
+from .late_peer_buffer import ENGINE, INTERFACE, LatePeerBuffer, Publishers, SubscriberIdentifier
 from .topic_names import resolve
 
 MAX_TEXTS_PER_WRITE = 64
@@ -71,7 +71,7 @@ class EventTextPublisher:
         topic: name of the topic.
         queue_size: number of texts to buffer.
         reports: receives a warning for every dropped text.
-        epoch: returns the current clock epoch; see `LateJoinerBuffer`.
+        epoch: returns the current clock epoch; see `LatePeerBuffer`.
         clock_epochs: the epochs of a simulated clock, which are announced to the receivers; None for wall time.
     """
 
@@ -94,7 +94,7 @@ class EventTextPublisher:
             listener=self._subscriber_identifier,
             wait_hint=NO_TEXT_HINT,
         )
-        self._late_joiners = LateJoinerBuffer(
+        self._peer_buffer = LatePeerBuffer(
             self._topic_writer, ENGINE, queue_size, reports, epoch, self._serialize_epoch_mark
         )
         self._pending_messages: List[bytes] = []
@@ -106,7 +106,7 @@ class EventTextPublisher:
             processing_lock: lock that the caller holds in all other methods.
             publishers: returns topic and publisher of all connections that deliver messages.
         """
-        self._subscriber_identifier.start(self._late_joiners, processing_lock, publishers)
+        self._subscriber_identifier.start(self._peer_buffer, processing_lock, publishers)
 
     def _serialize_epoch_mark(self) -> bytes:
         """Return the mark of the current epoch as a serialized message; empty for wall time."""
@@ -123,14 +123,14 @@ class EventTextPublisher:
             previous_end: end of the former epoch in ns; unused, but passed to each callback of `ClockEpochs`.
         """
         self.flush()
-        self._late_joiners.send(self._serialize_epoch_mark(), 1)
+        self._peer_buffer.send(self._serialize_epoch_mark(), 1)
 
     def _must_wait_for(self, connection: Any) -> bool:
         """Return whether the publisher blocks until this subscriber accepts a message.
 
         It does not block for third parties, which may be slow.
         """
-        return not self._late_joiners.is_third_party(connection)
+        return not self._peer_buffer.is_third_party(connection)
 
     def add(self, text: str) -> None:
         """Add a text to the next write."""
@@ -167,14 +167,14 @@ class EventTextPublisher:
         # A node whose connection has only dropped and returned has processed the message already.
         # ``may_be_repetition`` makes that node compare the message with the last one that it has processed.
         repeated_mark = serialize_string(message._replace(may_be_repetition=True).to_mark())
-        self._late_joiners.latch(publisher, lambda: repeated_mark + serialize_string(current_text()), size)
-        self._late_joiners.send(serialize_string(text), 1, serialize_string(message.to_mark()))
+        self._peer_buffer.latch(publisher, lambda: repeated_mark + serialize_string(current_text()), size)
+        self._peer_buffer.send(serialize_string(text), 1, serialize_string(message.to_mark()))
 
     def flush(self) -> None:
         """Write the added texts."""
         messages = self._pending_messages
         if messages:
-            self._late_joiners.send(b"".join(messages), len(messages))
+            self._peer_buffer.send(b"".join(messages), len(messages))
             messages.clear()
 
 
@@ -203,9 +203,9 @@ class OutputTextPublisher:
         self._topic_writer = TopicWriter(
             topic, String, queue_size, reports, listener=self._subscriber_identifier
         )
-        self._late_joiners = LateJoinerBuffer(self._topic_writer, INTERFACE, queue_size, reports)
+        self._peer_buffer = LatePeerBuffer(self._topic_writer, INTERFACE, queue_size, reports)
         self._processing_lock = threading.Lock()
-        self._subscriber_identifier.start(self._late_joiners, self._processing_lock)
+        self._subscriber_identifier.start(self._peer_buffer, self._processing_lock)
 
     def send(self, topic: str, format_text: Callable[[], str]) -> None:
         """Send or buffer an output to a topic; ``format_text`` is called only if the text is needed."""
@@ -219,8 +219,8 @@ class OutputTextPublisher:
         data = serialize_string(format_text())
         with self._processing_lock:
             if name in self._latched:
-                self._late_joiners.latch(name, lambda: data, len(data))
-            self._late_joiners.send(data, 1, for_peer=is_published)
+                self._peer_buffer.latch(name, lambda: data, len(data))
+            self._peer_buffer.send(data, 1, for_peer=is_published)
 
     def connections(self) -> Any:
         """Return the connections to the subscribers."""

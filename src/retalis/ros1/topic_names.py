@@ -1,6 +1,7 @@
 """Full names of topics in ROS 1, and the errors of the master that knows them."""
 
 from http.client import HTTPException
+from xml.parsers.expat import ExpatError
 from xmlrpc.client import Error
 
 import rosgraph
@@ -9,8 +10,15 @@ import rospy
 from ..foundation.errors import UsageError
 from ..foundation.ros_name_checks import topic_fault
 
-MASTER_ERRORS = (OSError, Error, HTTPException, rosgraph.MasterException, rosgraph.MasterError)
-"""Errors of a call of the master that does not answer, or not as expected."""
+MASTER_ERRORS = (
+    OSError,
+    Error,
+    HTTPException,
+    ExpatError,
+    rosgraph.MasterException,
+    rosgraph.MasterError,
+)
+"""Errors of a call of the master that does not answer, or not as expected: another server may have its port."""
 
 
 def resolve(topic: str) -> str:

@@ -1,18 +1,19 @@
 """Message types of ROS 2 that are installed on this machine.
 
-The prefixes in ``AMENT_PREFIX_PATH`` contain the definitions as ``share/<package>/msg/<Type>.msg``. rclpy needs the
-generated class of a type as well; see `message_class`.
+The prefixes in ``AMENT_PREFIX_PATH`` contain the definitions as ``share/<package>/msg/<Type>.msg``, and those of
+services and actions in ``srv`` and ``action``. rclpy also needs the generated class of a type; see `message_class`.
 """
 
 import os
 import sys
 from importlib import import_module
+from operator import attrgetter
 from typing import Any, List, Optional
 
 from ..foundation.errors import MessageError, quote_shortened, shorten
 from ..foundation.ros_name_checks import ros1_type_name
-from ..messages.ros2_definitions import parse_ros2_type
-from ..messages.type_registry import InstalledType, InstalledTypes
+from ..messages.ros2_definitions import find_interfaces
+from ..messages.type_registry import InstalledType, InstalledTypes, parse_ros2_type
 
 _NAMES_IN_ROS2 = {"tf/tfMessage": "tf2_msgs/TFMessage"}
 """Types of ROS 1 that programs name, and that ROS 2 has under another name."""
@@ -45,10 +46,10 @@ class InstalledInterfaces(InstalledTypes):
         if installed_type is None:
             return None
         try:
-            definition = parse_ros2_type(name, installed_type.text, self._find_text)
+            definition = parse_ros2_type(ros1_type_name(name), installed_type.text, self._find_text)
         except MessageError as error:
             raise MessageError(f"{installed_type.source}: {error}") from error
-        return installed_type._replace(text=definition.full_text)
+        return installed_type._replace(text=definition.full_text, is_derived=False)
 
     def _find_text(self, name: str) -> Optional[str]:
         installed_type = super().find(name)
@@ -68,14 +69,52 @@ class InstalledInterfaces(InstalledTypes):
         """
         name = ros1_type_name(name)
         name = _NAMES_IN_ROS2.get(name, name)
-        if super().find(name) is None:
+        installed_type = super().find(name)
+        if installed_type is None:
             suggestion = "its package has to be built, and its setup.bash sourced before this node starts"
             raise MessageError(f"the message type {shorten(name)} is not installed: {suggestion}")
         package, _, type_name = name.partition("/")
+        folder, path = "msg", type_name
+        if installed_type.is_derived:
+            # The file of the service or action is that from which the definition was read.
+            folder = os.path.basename(os.path.dirname(installed_type.source))
+            path = next(
+                _find_derived_class(interface.name.partition("/")[2], type_name)
+                for interface, interface_folder in find_interfaces(name)
+                if interface_folder == folder
+            )
         try:
-            return getattr(import_module(f"{package}.msg"), type_name)
+            return attrgetter(path)(import_module(f"{package}.{folder}"))
         except Exception as error:  # the import can raise any exception
+            if isinstance(error, AttributeError) and type_name.endswith("_Event"):
+                raise MessageError(f"{name}: services have events in ROS 2 Iron and later") from error
             raise MessageError(
                 f"{name}: the generated Python class of this message type cannot be imported: "
                 f"{quote_shortened(str(error))}: build its package for this Python"
             ) from error
+
+    def service_class(self, name: str) -> Any:
+        """Return the generated class of a service, which rclpy calls it with.
+
+        Args:
+            name: ``pkg/Type``.
+
+        Raises:
+            MessageError: see `message_class`.
+        """
+        self.message_class(f"{name}_Request")
+        package, _, type_name = name.partition("/")
+        return getattr(import_module(f"{package}.srv"), type_name)
+
+
+def _find_derived_class(interface: str, type_name: str) -> str:
+    """Return the path of the class of a derived type in the module of services or actions.
+
+    Args:
+        interface: name of the service or action, without its package.
+        type_name: name of the type: that of the interface with a suffix.
+    """
+    *service, kind = type_name[len(interface) + 1 :].split("_")
+    if service:
+        return f"{interface}.Impl.{service[0]}Service.{kind}"
+    return f"{interface}.Impl.{kind}" if kind == "FeedbackMessage" else f"{interface}.{kind}"

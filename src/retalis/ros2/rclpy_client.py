@@ -1,7 +1,7 @@
 """Connection of commands to running nodes of ROS 2: two nodes of rclpy.
 
-A hidden node calls services. A second node, which reads topics, exists only if a command asks for it. Each has an
-executor in a thread of its own, so that a receiver of texts that waits does not delay the response of a service.
+A hidden node calls services. A second node, which reads and writes topics, exists only if a command asks for it. Each
+has an executor in a thread of its own, so that a receiver of texts that waits does not delay a service's response.
 
 There is no master: nodes, with their topics and services, are discovered one after the other, mostly within a second.
 """
@@ -10,7 +10,7 @@ import os
 import threading
 from contextlib import suppress
 from time import monotonic, sleep
-from typing import TYPE_CHECKING, Any, Callable, Dict, Mapping, Optional, Set
+from typing import TYPE_CHECKING, Any, Callable, Dict, Mapping, Optional, Sequence, Set
 
 import rclpy
 from rclpy.context import Context
@@ -18,13 +18,15 @@ from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.signals import SignalHandlerOptions
 
 from .. import srv
-from ..cli.node_client import RunningNodes, find_engine_nodes
-from ..events.program.topic_configuration import QualityOfService
-from ..foundation.errors import UsageError
+from ..cli.node_client import CONNECTION_SECONDS, RunningNodes, find_engine_nodes
+from ..events.program.topic_configuration import ANY_QUALITY, QualityOfService
+from ..foundation.errors import MessageError, UsageError
 from ..foundation.interrupts import interruptible
+from ..messages.type_definition import Definition, SerializationFormat
+from ..messages.type_registry import InstalledTypes
 from ..node.text_exchange import TEXT_TYPE
 from .installed_interfaces import InstalledInterfaces
-from .quality_of_service import choose_quality, join_node_name, read_offers
+from .quality_of_service import choose_published_quality, choose_quality, join_node_name, read_offers
 from .service_messages import fill_message, read_fields
 
 if TYPE_CHECKING:
@@ -36,9 +38,6 @@ DISCOVERY_SECONDS = 4.0
 
 SETTLING_SECONDS = 0.3
 """Seconds without a change after which the known nodes, or the services of one node, count as complete."""
-
-CONNECTION_SECONDS = 5.0
-"""Seconds after which a service that was discovered does not answer, because it cannot be connected to."""
 
 MAX_UNREAD_TEXTS = 1000
 """Number of texts that are queued for a receiver; beyond it, the oldest are dropped."""
@@ -58,7 +57,12 @@ class RclpyClient:
     Attributes:
         namespace: the root: ROS 2 has no namespace of a shell.
         scope: the domain, for errors.
+        end_of_time: end of the signed seconds of ``builtin_interfaces/Time``.
+        format: serialization of ROS 2.
     """
+
+    end_of_time = 1 << 31
+    format = SerializationFormat.CDR
 
     def __init__(self) -> None:
         self.namespace = "/"
@@ -75,6 +79,10 @@ class RclpyClient:
     def resolve_node(self, name: str) -> str:
         """See `ClientConnection`."""
         return name if name.startswith("/") else f"/{name}"
+
+    def limit_discovery(self, seconds: float) -> None:
+        """See `ClientConnection`."""
+        self._ends_at = min(self._ends_at, monotonic() + seconds)
 
     def find_nodes(self, requested_name: Optional[str] = None) -> RunningNodes:
         """See `ClientConnection`. This waits until no further nodes are discovered."""
@@ -125,15 +133,19 @@ class RclpyClient:
         answered = threading.Event()
         future.add_done_callback(lambda future: answered.set())
         end = monotonic() + max_seconds
-        with interruptible():
-            while not answered.wait(_CHECK_SECONDS):
-                if monotonic() > end:
-                    raise UsageError(
-                        f"service {service} does not answer: no response within {max_seconds:g} s"
-                    )
-                if not client.service_is_ready():
-                    raise UsageError(f"service {service} does not answer: its node has ended")
-        return read_fields(future.result())
+        try:
+            with interruptible():
+                while not answered.wait(_CHECK_SECONDS):
+                    if monotonic() > end:
+                        raise UsageError(
+                            f"service {service} does not answer: no response within {max_seconds:g} s"
+                        )
+                    if not client.service_is_ready():
+                        raise UsageError(f"service {service} does not answer: its node has ended")
+            return read_fields(future.result())
+        finally:
+            # Without a response, the client would keep the request until its own end.
+            client.remove_pending_request(future)
 
     def start_node(self, name: str) -> None:
         """See `ClientConnection`."""
@@ -151,6 +163,29 @@ class RclpyClient:
             message_class, topic, lambda message: receive(message.data), quality.profile()
         )
         _wait(lambda: subscription.get_publisher_count() >= node.count_publishers(topic), CONNECTION_SECONDS)
+
+    def installed_types(self, extra_folders: Sequence[str]) -> InstalledTypes:
+        """See `ClientConnection`. Only types whose classes are built can be published."""
+        return InstalledInterfaces()
+
+    def advertise(self, topic: str, definition: Definition) -> Callable[[bytes], object]:
+        """See `ClientConnection`."""
+        if self._reader is None:
+            raise UsageError("advertise: the node has not been started")
+        node = self._reader.node
+        try:
+            message_class = InstalledInterfaces().message_class(definition.name)
+        except MessageError as error:
+            raise UsageError(f"topic {topic}: {error.message}") from error
+        quality = choose_published_quality(ANY_QUALITY, False, MAX_UNREAD_TEXTS)
+        publisher = node.create_publisher(message_class, topic, quality.profile())
+
+        def is_connected() -> bool:
+            return bool(0 < node.count_subscribers(topic) <= publisher.get_subscription_count())
+
+        if not _wait(is_connected, CONNECTION_SECONDS) and not publisher.get_subscription_count():
+            raise UsageError(f"topic {topic}: no node subscribes to it")
+        return lambda data: publisher.publish(data)
 
     def end(self) -> None:
         """See `ClientConnection`."""

@@ -6,6 +6,7 @@ from rclpy.node import Node
 
 from ..foundation.errors import printable
 from ..node.goal_output import log_counts
+from ..prolog.builtins.listing_and_messages import goal_log
 
 
 class _NodeHandler(logging.Handler):
@@ -29,8 +30,10 @@ class _NodeHandler(logging.Handler):
             self._log.error(text)
         elif record.levelno >= logging.WARNING:
             self._log.warning(text)
-        else:
+        elif record.levelno >= logging.INFO:
             self._log.info(text)
+        else:
+            self._log.debug(text)
 
 
 def forward_log(logger: logging.Logger, node: Node) -> None:
@@ -41,3 +44,5 @@ def forward_log(logger: logging.Logger, node: Node) -> None:
     logger.addHandler(_NodeHandler(node))
     logger.setLevel(logging.INFO)
     logger.propagate = False
+    # Rules may log for debugging: the node drops these records unless its level is lower.
+    goal_log.setLevel(logging.DEBUG)

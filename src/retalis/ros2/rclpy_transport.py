@@ -4,40 +4,44 @@ import threading
 import time
 from contextlib import suppress
 from queue import SimpleQueue
-from typing import Any, Callable, Dict, List, Mapping, Optional, Set
+from typing import Any, Callable, Dict, List, Mapping, Optional, Sequence, Set, Tuple
 
 from rcl_interfaces.msg import ParameterDescriptor
 from rclpy.callback_groups import ReentrantCallbackGroup
-from rclpy.exceptions import InvalidHandle, InvalidTopicNameException
+from rclpy.exceptions import InvalidHandle, InvalidServiceNameException, InvalidTopicNameException
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.task import Future
 
 from ..engine.runtime.problem_reports import Reports
+from ..engine.service_calls import ServiceCall
 from ..events.knowledge.transform_buffer import TransformBuffer
-from ..events.program.topic_configuration import ANY_QUALITY, QualityOfService
+from ..events.program.topic_configuration import ANY_QUALITY, SERVICE_EVENTS, QualityOfService
 from ..foundation.bounded_caches import Cache
 from ..foundation.errors import MessageError, RetalisError, UsageError, shorten
 from ..foundation.ros_name_checks import ros1_type_name, topic_fault
 from ..messages.type_definition import VARIABLE_LENGTH, Definition, Field, SerializationFormat
 from ..messages.type_registry import Definitions, InstalledTypes
-from ..node.parameters import PARAMETER_DESCRIPTIONS
-from ..node.transport import Connect, Mismatch, NodeGraph
+from ..node.parameters import FIXED_PARAMETERS, PARAMETER_DESCRIPTIONS
+from ..node.service_caller import CallThreads
+from ..node.transport import Connect, GraphChange, Mismatch, NodeGraph
 from .installed_interfaces import InstalledInterfaces
 from .message_intake import MessageIntake
 from .node_executor import MAX_WAIT_SECONDS
+from .node_watch import NodeWatch
 from .quality_of_service import choose_published_quality, find_mismatches, full_node_name, join_node_name
-from .ros_clock import RosClock
+from .rclpy_service_call import RclpyServiceCalls
+from .ros_clock import CLOCK_TOPIC, CLOCK_TYPE, RosClock, replace_clock_subscription
 from .service_messages import fill_message, read_fields
 from .timers import ScheduledCall, TransportTimers
 from .topic_publication import OwnMessages, RclpyPublication
 from .topic_subscription import RclpySubscription, TopicOptions
 
-CLOCK_TOPIC = "/clock"
-CLOCK_TYPE = "rosgraph_msgs/Clock"
-
 MAX_CONCURRENT_REQUESTS = 64
 """Number of service requests that are handled at the same time; synchronized queries wait for seconds."""
+
+MAX_WAITING_REQUESTS = 1000
+"""Number of service requests that wait for one of these; further ones are answered with an error."""
 
 MAX_DEPTH = 1000
 """Largest number of messages that the middleware stores for a topic, if the program does not demand a number."""
@@ -49,7 +53,7 @@ AUTOSTART = "autostart"
 """Parameter: whether the node activates itself."""
 
 NODE_PARAMETERS = (AUTOSTART, "use_sim_time", "start_type_description_service", "qos_overrides")
-"""Parameters of the node itself, and of rclpy."""
+"""Parameters of the node itself, and of rclpy; all are read at the start."""
 
 
 class RclpyTransport:
@@ -65,6 +69,7 @@ class RclpyTransport:
 
     Attributes:
         format: serialization of published messages.
+        received_formats: that of received messages, which is the same.
         node_name: full name of this node.
         is_time_simulated: whether time comes from ``/clock``.
         create_transform_buffer: creates the buffer of transforms.
@@ -72,6 +77,7 @@ class RclpyTransport:
 
     def __init__(self, node: Node, executor: SingleThreadedExecutor, reports: Reports):
         self.format = SerializationFormat.CDR
+        self.received_formats: Tuple[SerializationFormat, ...] = (self.format,)
         self.node_name = str(node.get_fully_qualified_name())
         self.create_transform_buffer: Callable[[float], TransformBuffer] = TransformBuffer
         self.is_time_simulated = bool(node.get_parameter("use_sim_time").value)
@@ -81,7 +87,10 @@ class RclpyTransport:
         self._interfaces = InstalledInterfaces()
         self._definitions = Definitions(self._interfaces)
         self._resolved: Cache[str, str] = Cache(1000, 1 << 20)
-        self._clock = RosClock(self.is_time_simulated)
+        # rclpy may know the time already, and no further message may come while a simulation stands still.
+        self._clock = RosClock(
+            self.is_time_simulated, node.get_clock().now().nanoseconds if self.is_time_simulated else 0
+        )
         self._timers = TransportTimers(self._clock.now, self.is_time_simulated, reports.error)
         # For the transport itself: the clock of the machine may be set, and the engine may run in the other one.
         self._own_timers = TransportTimers(time.monotonic_ns, False, reports.error)
@@ -89,13 +98,20 @@ class RclpyTransport:
         self._requests = RequestThreads()
         # Of its own: a request that waits would block the other callbacks of the node's group.
         self._service_group = ReentrantCallbackGroup()
+        self._service_calls = RclpyServiceCalls(node, self._interfaces, self._service_group)
+        self._call_threads = CallThreads()
         self._own_messages: Dict[str, OwnMessages] = {}
         self._publications: List[RclpyPublication] = []
         self._services: List[Any] = []
+        self._node_watches: List[NodeWatch] = []
+        self._shutdown_lock = threading.Lock()
         self._shutdown_callbacks: List[Callable[[], object]] = []
         self._is_shut_down = False
         if self.is_time_simulated:
             self._clock.on_tick(lambda now: self._timers.notify())
+            set_node_time = replace_clock_subscription(node)
+            if set_node_time is not None:
+                self._clock.on_tick(set_node_time)
             self._subscribe_clock()
 
     # ---- time
@@ -133,8 +149,12 @@ class RclpyTransport:
         if fault is not None or not topic.strip("/"):
             raise UsageError(fault or f'"{topic}" is not a topic name')
         try:
+            if topic.endswith(SERVICE_EVENTS):
+                # As in rcl, which resolves the name of the service by the rules for services, and then the topic's.
+                service = _private_name(topic[: -len(SERVICE_EVENTS)])
+                topic = f"{self._node.resolve_service_name(service)}{SERVICE_EVENTS}"
             return str(self._node.resolve_topic_name(_private_name(topic)))
-        except (RuntimeError, ValueError, InvalidTopicNameException) as error:
+        except (RuntimeError, ValueError, InvalidServiceNameException, InvalidTopicNameException) as error:
             reason = str(error).partition("\n")[0].partition(", at ")[0]
             raise UsageError(f'"{topic}" is not a topic name of ROS 2: {reason}') from error
 
@@ -145,6 +165,21 @@ class RclpyTransport:
     def parameters(self) -> Dict[str, Any]:
         """See `Transport`."""
         return read_node_parameters(self._node)
+
+    def refresh_ros_parameters(self) -> None:
+        """Do nothing: the parameters of the node are known."""
+
+    def ros_parameter(self, name: str) -> Any:
+        """See `Transport`. The parameters are those of the node: ``a.b``, also written ``~a/b`` or ``/a/b``."""
+        name = name.lstrip("~/").replace("/", ".")
+        if self._node.has_parameter(name):
+            value = plain_value(self._node.get_parameter(name))
+            if value is not None:
+                return value
+        group = nest_parameters(self._node.get_parameters_by_prefix(name)) if name else {}
+        if not group:
+            raise KeyError(name)
+        return group
 
     # ---- topics
 
@@ -229,7 +264,10 @@ class RclpyTransport:
                 response.result = "error: internal error; the log of the node has the details"
 
         async def handle(request: Any, response: Any) -> Any:
-            await self._run_in_thread(lambda: answer(request, response))
+            try:
+                await self._run_in_thread(lambda: answer(request, response))
+            except UsageError as error:
+                response.result = f"error: {error}"
             return response
 
         self._services.append(
@@ -238,8 +276,32 @@ class RclpyTransport:
             )
         )
 
+    def resolve_service(self, name: str) -> str:
+        """See `Transport`."""
+        fault = topic_fault(name)
+        if fault is not None:
+            raise UsageError(fault)
+        try:
+            return str(self._node.resolve_service_name(_private_name(name)))
+        except (RuntimeError, ValueError, InvalidServiceNameException) as error:
+            reason = str(error).partition("\n")[0].partition(", at ")[0]
+            raise UsageError(f'"{name}" is not a name of a service of ROS 2: {reason}') from error
+
+    def call_service(self, name: str, call: ServiceCall) -> None:
+        """See `Transport`."""
+        # A new client may have to wait until its service is discovered.
+        self._call_threads.start(self._service_calls.call_service, name, call)
+
+    def call_in_thread(self, function: Callable[[], object]) -> None:
+        """Call a function in a thread of its own, which may wait and raises no errors.
+
+        Raises:
+            UsageError: if too many functions are waiting.
+        """
+        self._requests.submit(function)
+
     def _run_in_thread(self, function: Callable[[], object]) -> Future:
-        """Return a future that is done when a function has ended, which may wait and raises no errors."""
+        """Return a future that is done when a function has ended; see `call_in_thread`."""
         future = Future(executor=self._executor)
 
         def run() -> None:
@@ -293,11 +355,22 @@ class RclpyTransport:
                 servers.setdefault(service, set()).add(full_name)
         return NodeGraph(types, publishers, servers, subscribers, nodes, mismatches)
 
+    def watch_nodes(self, report: Callable[[GraphChange], object]) -> None:
+        """See `Transport`."""
+        self._node_watches.append(
+            NodeWatch(self._node, report, self._reports.warning, self._own_timers.call_later)
+        )
+
     # ---- shutdown
 
     def on_shutdown(self, callback: Callable[[], object]) -> None:
-        """See `Transport`."""
-        self._shutdown_callbacks.append(callback)
+        """See `Transport`. After the end, the function is called at once: the end may interrupt the start."""
+        with self._shutdown_lock:
+            is_shut_down = self._is_shut_down
+            if not is_shut_down:
+                self._shutdown_callbacks.append(callback)
+        if is_shut_down:
+            callback()
 
     def is_shut_down(self) -> bool:
         """See `Transport`."""
@@ -305,7 +378,8 @@ class RclpyTransport:
 
     def shut_down(self) -> None:
         """End the topics, services and timers of the node; the node itself goes on."""
-        self._is_shut_down = True
+        with self._shutdown_lock:
+            self._is_shut_down = True
         self._intake.stop()
         for timers in (self._timers, self._own_timers):
             timers.stop()
@@ -316,6 +390,8 @@ class RclpyTransport:
             except Exception as error:
                 self._reports.error(error)
         self._requests.stop()
+        for watch in self._node_watches:
+            watch.stop()
         for service in self._services:
             self._node.destroy_service(service)
 
@@ -331,25 +407,41 @@ class RequestThreads:
         self._functions: SimpleQueue[Optional[Callable[[], object]]] = SimpleQueue()
         self._lock = threading.Lock()
         self._thread_count = 0
-        self._free_count = 0
+        self._unfinished_count = 0
 
     def submit(self, function: Callable[[], object]) -> None:
-        """Call a function, which raises no errors, as soon as a thread is free."""
+        """Call a function, which raises no errors, as soon as a thread is free.
+
+        Raises:
+            UsageError: if too many functions are waiting.
+        """
         with self._lock:
-            self._free_count -= 1
-            if self._free_count < 0 and self._thread_count < MAX_CONCURRENT_REQUESTS:
+            if self._unfinished_count >= MAX_CONCURRENT_REQUESTS + MAX_WAITING_REQUESTS:
+                raise UsageError(
+                    f"{MAX_CONCURRENT_REQUESTS} requests are running and {MAX_WAITING_REQUESTS} are waiting: "
+                    "send this one later"
+                )
+            self._unfinished_count += 1
+            if self._thread_count < min(self._unfinished_count, MAX_CONCURRENT_REQUESTS):
                 self._thread_count += 1
                 threading.Thread(target=self._run, daemon=True, name="request").start()
         self._functions.put(function)
 
     def _run(self) -> None:
         while True:
-            with self._lock:
-                self._free_count += 1
             function = self._functions.get()
             if function is None:
                 return
-            function()
+            try:
+                function()
+            except BaseException:
+                # The error ends this thread, and another one may be started in its place.
+                with self._lock:
+                    self._thread_count -= 1
+                raise
+            finally:
+                with self._lock:
+                    self._unfinished_count -= 1
 
     def stop(self) -> None:
         """End the threads when they have called their functions."""
@@ -369,7 +461,7 @@ class _ClockReceiver:
     def convert(self, message: bytes) -> None:
         self._clock.set_from(message)
 
-    def receive(self, messages: List[bytes]) -> None:
+    def receive(self, messages: List[bytes], received: Sequence[int] = ()) -> None:
         for message in messages:
             self._clock.set_from(message)
 
@@ -385,7 +477,7 @@ def _is_byte_array(field: Field) -> bool:
 
 
 def declare_parameters(node: Node) -> None:
-    """Declare the parameters of the package with their descriptions; they are read when the node starts.
+    """Declare the parameters of the package with their descriptions, and the reasons why some are read-only.
 
     Those that are not given have no value. Parameters with other names stay as they are.
     """
@@ -395,7 +487,11 @@ def declare_parameters(node: Node) -> None:
         )
     for name, description in PARAMETER_DESCRIPTIONS.items():
         descriptor = ParameterDescriptor(
-            name=name, description=description, read_only=True, dynamic_typing=True
+            name=name,
+            description=description,
+            additional_constraints=FIXED_PARAMETERS.get(name, ""),
+            read_only=name in FIXED_PARAMETERS,
+            dynamic_typing=True,
         )
         if node.has_parameter(name):
             node.set_descriptor(name, descriptor)
@@ -404,21 +500,40 @@ def declare_parameters(node: Node) -> None:
 
 
 def read_node_parameters(node: Node) -> Dict[str, Any]:
-    """Return the parameters of a node as plain values, lists and nested dictionaries."""
+    """Return the parameters of a node as plain values, lists and nested dictionaries, without `NODE_PARAMETERS`."""
+    parameters = node.get_parameters_by_prefix("").items()
+    return nest_parameters(
+        {name: value for name, value in parameters if name.partition(".")[0] not in NODE_PARAMETERS}
+    )
+
+
+def nest_parameters(parameters: Mapping[str, Any]) -> Dict[str, Any]:
+    """Return parameters that have a value as nested dictionaries.
+
+    Args:
+        parameters: parameters of rclpy by name, in which points separate the groups.
+
+    Raises:
+        UsageError: if a parameter is both a value and a group.
+    """
     values: Dict[str, Any] = {}
-    for name, parameter in node.get_parameters_by_prefix("").items():
+    for name, parameter in parameters.items():
         *path, last = name.split(".")
-        if (path or [last])[0] in NODE_PARAMETERS or parameter.value is None:
+        if parameter.value is None:
             continue
         target = values
         for part in path:
             target = target.setdefault(part, {})
             if not isinstance(target, dict):
                 raise UsageError(f"parameter ~{part}: expected a value or a group of parameters, found both")
-        value = parameter.value
-        is_text = isinstance(value, (str, bytes))
-        target[last] = list(value) if hasattr(value, "__len__") and not is_text else value
+        target[last] = plain_value(parameter)
     return values
+
+
+def plain_value(parameter: Any) -> Any:
+    """Return the value of a parameter of rclpy; arrays of all kinds as lists."""
+    value = parameter.value
+    return list(value) if hasattr(value, "__len__") and not isinstance(value, (str, bytes)) else value
 
 
 def _private_name(name: str) -> str:

@@ -4,44 +4,56 @@ One node offers all services: the exchange of text between two nodes was a need 
 """
 
 import logging
-import os
-import signal
-import sys
 import threading
-import time
-from contextlib import suppress
+from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
-from typing import List, Optional
+from queue import SimpleQueue
+from typing import TYPE_CHECKING, Any, Callable, List, Optional
 
 import rclpy
+from lifecycle_msgs.srv import ChangeState
+from rcl_interfaces.msg import SetParametersResult
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+from rclpy.parameter import Parameter
 from rclpy.signals import SignalHandlerOptions
 
 from ..engine.runtime.problem_reports import Reports
 from ..foundation.errors import RetalisError, UsageError
-from ..foundation.garbage_collection import collect_when_idle, limit_gc_pauses, stop_collecting
-from ..foundation.interrupts import check_interrupt, deferred_interrupts, interruptible
+from ..foundation.garbage_collection import limit_gc_pauses
+from ..foundation.interrupts import check_interrupt
 from ..node.host_context import HostContext
-from ..node.parameters import Parameters, read_parameters
+from ..node.node_process import run_node_process, wait_while
+from ..node.parameters import (
+    PARAMETER_DESCRIPTIONS,
+    AdjustableParameters,
+    Parameters,
+    check_adjustable,
+    read_adjustable_parameters,
+    read_parameters,
+)
 from ..node.plain_text_exchange import PlainTextExchange
 from ..node.program_host import ProgramHost
 from .installed_interfaces import ament_prefixes
 from .node_executor import NodeExecutor
 from .rclpy_log import forward_log
-from .rclpy_transport import AUTOSTART, RclpyTransport, declare_parameters, read_node_parameters
+from .rclpy_transport import (
+    AUTOSTART,
+    NODE_PARAMETERS,
+    RclpyTransport,
+    declare_parameters,
+    plain_value,
+    read_node_parameters,
+)
+from .ros_clock import follow_clock
+
+if TYPE_CHECKING:
+    from rclpy.subscription import Subscription
 
 log = logging.getLogger("retalis")
 
-_SIGNALS = (signal.SIGINT, signal.SIGTERM)
-
 MAX_SHUTDOWN_SECONDS = 8.0
 """Limit in seconds for the shutdown; ``ros2 launch`` sends SIGTERM and then SIGKILL from 10 s after SIGINT on."""
-
-SHUTDOWN_CHECK_SECONDS = 0.5
-"""Seconds between two checks whether the node has been shut down."""
-
-MAX_IDLE_LOAD = 0.02
-"""Share of one core below which a node counts as idle, so that the garbage collector may run."""
 
 
 def find_default_program() -> Path:
@@ -62,8 +74,8 @@ def find_default_program() -> Path:
 class RetalisNode(LifecycleNode):
     """A node with a life cycle, whose program runs while it is active.
 
-    Its parameters are read when it is configured. A program that is activated again starts anew, or from its
-    checkpoint.
+    Its parameters are read when it is configured; some can be changed later. A program that is activated again starts
+    anew, or from its checkpoint.
 
     Attributes:
         is_finalized: whether the node has reached the end of its life cycle.
@@ -76,28 +88,142 @@ class RetalisNode(LifecycleNode):
         declare_parameters(self)
         self.is_finalized = False
         self._reports = Reports()
-        self._program_parameters: Optional[Parameters] = None
+        self._transition_lock = threading.Lock()
+        """Held during a transition: the main thread starts the node, and the executor handles requests."""
+        self._program_lock = threading.Lock()
+        """Held while the next two attributes change: the main thread ends the node at any moment."""
         self._transport: Optional[RclpyTransport] = None
         self._host: Optional[ProgramHost] = None
+        self._is_ending = False
+        self._parameter_lock = threading.Lock()
+        """Held while parameters are read or changed."""
+        self._program_parameters: Optional[Parameters] = None
+        self._application_lock = threading.Lock()
+        """Held while changed parameters are applied to the program."""
+        self._clock_subscription: Optional[Subscription] = None
+        self._answer_refused_transitions()
         self._node_executor = NodeExecutor(self, self._reports.error)
 
     def start(self) -> bool:
-        """Configure and activate the node; return whether it is active."""
+        """Configure and activate the node; return whether it is active, or a request has changed its state before."""
         success = TransitionCallbackReturn.SUCCESS
-        return bool(self.trigger_configure() == success and self.trigger_activate() == success)
+        with self._transition_lock:
+            try:
+                return bool(self.trigger_configure() == success and self.trigger_activate() == success)
+            except RuntimeError as error:
+                # The services of the life cycle exist before this method is called.
+                log.warning("the node does not activate itself: a request has changed its state: %s", error)
+                return True
 
     def end(self) -> None:
-        """End the program and the node."""
+        """End the program and the node, also while a transition is in work."""
+        with self._program_lock:
+            self._is_ending = True
         self._end_program()
         self._node_executor.stop()
         self.destroy_node()
 
+    def _answer_refused_transitions(self) -> None:
+        """Execute requests for transitions one after the other, and answer those that the state does not allow.
+
+        rclpy raises an error for these, and their clients would wait for an answer forever.
+        """
+        for service in self.services:
+            if service.srv_type is ChangeState:
+                service.callback = partial(self._change_state, service.callback)
+
+    def _change_state(
+        self, change_state: Callable[[Any, Any], Any], request: ChangeState.Request, response: Any
+    ) -> Any:
+        with self._transition_lock:
+            try:
+                return change_state(request, response)
+            except RuntimeError:
+                transition = request.transition.label or request.transition.id
+                log.warning("transition %s is refused: the state of the node does not allow it", transition)
+                response.success = False
+                return response
+
+    def set_parameters_atomically(self, parameter_list: List[Parameter]) -> SetParametersResult:
+        """See `Node`. Parameters that are fixed are rejected with the reason.
+
+        A callback for changes would not do: rclpy rejects read-only parameters before, and without a reason.
+        """
+        with self._parameter_lock:
+            try:
+                adjusted = self._check_changes(parameter_list)
+                confirm = self._reserve_application()
+            except UsageError as error:
+                return SetParametersResult(successful=False, reason=str(error))
+            is_changed = False
+            try:
+                result = super().set_parameters_atomically(parameter_list)
+                is_changed = result.successful and self._program_parameters is not None
+                if is_changed and self._program_parameters is not None:
+                    self._program_parameters = self._program_parameters.adjust(adjusted)
+            finally:
+                confirm(is_changed)
+        return result
+
+    def _reserve_application(self) -> Callable[[bool], object]:
+        """Reserve a thread that applies a change to the running program; the engine may be busy with an event.
+
+        Returns:
+            The function to call with whether there is a change.
+
+        Raises:
+            UsageError: if too many requests are waiting.
+        """
+        transport = self._transport
+        confirmations: SimpleQueue[bool] = SimpleQueue()
+        if transport is not None:
+
+            def apply_if_confirmed() -> None:
+                if confirmations.get():
+                    self._apply_parameters()
+
+            transport.call_in_thread(apply_if_confirmed)
+        return confirmations.put
+
+    def _check_changes(self, changes: List[Parameter]) -> AdjustableParameters:
+        """Return the adjustable parameters after a change.
+
+        Raises:
+            UsageError: if a parameter cannot be changed, or a value is invalid.
+        """
+        values = read_node_parameters(self)
+        for parameter in changes:
+            name = parameter.name
+            if name.partition(".")[0] in NODE_PARAMETERS:
+                raise UsageError(f"parameter {name}: it is read at the start: start the node with it")
+            # Goals read other parameters that the node was started with.
+            if name not in PARAMETER_DESCRIPTIONS and self.has_parameter(name):
+                continue
+            check_adjustable(name)
+            if parameter.value is None:
+                raise UsageError(f"parameter ~{name}: it cannot be deleted: set a value")
+            values[name] = plain_value(parameter)
+        return read_adjustable_parameters(values)
+
+    def _apply_parameters(self) -> None:
+        """Apply the present parameters to the running program."""
+        # Several changes may be applied at the same time, and the last one has to remain.
+        with self._application_lock:
+            host, parameters = self._host, self._program_parameters
+            if host is None or parameters is None:
+                return
+            try:
+                host.change_parameters(parameters._replace(embedded=True))
+            except Exception as error:
+                self._reports.error(error)
+
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Read the parameters."""
         try:
-            self._program_parameters = read_parameters(read_node_parameters(self), find_default_program)
-        except RetalisError as error:
-            log.critical("%s", error)
+            with self._parameter_lock:
+                self._program_parameters = read_parameters(read_node_parameters(self), find_default_program)
+        except Exception as error:
+            self._report_failure(error)
             return TransitionCallbackReturn.FAILURE
         return TransitionCallbackReturn.SUCCESS
 
@@ -105,8 +231,9 @@ class RetalisNode(LifecycleNode):
         """Start the program."""
         try:
             self._start_program()
-        except RetalisError as error:
-            log.critical("%s", error)
+        except Exception as error:
+            self._report_failure(error)
+            # Parts of the program may have started.
             self._end_program()
             return TransitionCallbackReturn.FAILURE
         # All objects of the program and of rclpy are exempted from later collections.
@@ -120,7 +247,8 @@ class RetalisNode(LifecycleNode):
 
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Forget the parameters."""
-        self._program_parameters = None
+        with self._parameter_lock:
+            self._program_parameters = None
         return TransitionCallbackReturn.SUCCESS
 
     def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
@@ -129,20 +257,49 @@ class RetalisNode(LifecycleNode):
         self.is_finalized = True
         return TransitionCallbackReturn.SUCCESS
 
+    def _report_failure(self, error: Exception) -> None:
+        """Log the error of a transition; rclpy does not log it."""
+        if isinstance(error, RetalisError):
+            log.critical("%s", error)
+        else:
+            self._reports.error(error)
+
     def _start_program(self) -> None:
-        assert self._program_parameters is not None
-        self._transport = RclpyTransport(self, self._node_executor.executor, self._reports)
+        """Start the program.
+
+        Raises:
+            RetalisError: if the program cannot start.
+        """
+        parameters = self._program_parameters
+        assert parameters is not None
+        with self._program_lock:
+            if self._is_ending:
+                raise UsageError("the program is not started: the node is ending")
+            # Registered at once, so that the program can be ended while it is being loaded.
+            transport = self._transport = RclpyTransport(self, self._node_executor.executor, self._reports)
+        if self._clock_subscription is not None:
+            self.destroy_subscription(self._clock_subscription)
+            self._clock_subscription = None
         # There is no other node that could offer a part of the services.
-        context = HostContext(
-            self._transport, self._program_parameters._replace(embedded=True), self._reports
-        )
+        context = HostContext(transport, parameters._replace(embedded=True), self._reports)
         check_interrupt()
-        self._host = ProgramHost(context, PlainTextExchange(context))
+        host = ProgramHost(context, PlainTextExchange(context))
+        with self._program_lock:
+            if self._transport is not transport:
+                raise UsageError("the program is not started: the node has ended meanwhile")
+            self._host = host
+        # Parameters may have been changed since the beginning.
+        self._apply_parameters()
 
     def _end_program(self) -> None:
-        if self._transport is not None:
-            self._transport.shut_down()
-        self._transport = self._host = None
+        """End the program if there is one; also one that is being started."""
+        with self._program_lock:
+            transport, self._transport, self._host = self._transport, None, None
+        if transport is None:
+            return
+        transport.shut_down()
+        if not self._is_ending:
+            self._clock_subscription = follow_clock(self)
 
 
 def main(arguments: Optional[List[str]] = None) -> int:
@@ -150,62 +307,16 @@ def main(arguments: Optional[List[str]] = None) -> int:
 
     The status is 1 if the node could not be constructed, and 0 if it was asked to end, at whatever moment.
     """
-    status = 0
-    with suppress(KeyboardInterrupt), deferred_interrupts(*_SIGNALS):
-        try:
-            rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
-            status = _run_until_shutdown()
-        except KeyboardInterrupt:
-            pass
-        finally:
-            _ignore_signals()
-            _start_last_resort(status)
-            rclpy.try_shutdown()
-            stop_collecting()
-    _ignore_signals()
-    return status
+    return run_node_process(lambda shutdown: _run_until_shutdown(arguments, shutdown), MAX_SHUTDOWN_SECONDS)
 
 
-def _run_until_shutdown() -> int:
+def _run_until_shutdown(arguments: Optional[List[str]], shutdown: ExitStack) -> int:
+    shutdown.callback(rclpy.try_shutdown)
+    rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
     node = RetalisNode()
+    shutdown.callback(node.end)
     forward_log(log, node)
-    try:
-        if node.get_parameter(AUTOSTART).value and not node.start():
-            return 1
-        _wait_for_shutdown(node)
-    finally:
-        _ignore_signals()
-        _start_last_resort(0)
-        node.end()
+    if node.get_parameter(AUTOSTART).value and not node.start():
+        return 1
+    wait_while(lambda: node.context.ok() and not node.is_finalized)
     return 0
-
-
-def _wait_for_shutdown(node: RetalisNode) -> None:
-    while node.context.ok() and not node.is_finalized:
-        cpu_time = time.process_time()
-        with interruptible():
-            time.sleep(SHUTDOWN_CHECK_SECONDS)
-        if time.process_time() - cpu_time < MAX_IDLE_LOAD * SHUTDOWN_CHECK_SECONDS:
-            collect_when_idle()
-
-
-def _ignore_signals() -> None:
-    for number in _SIGNALS:
-        signal.signal(number, signal.SIG_IGN)
-
-
-def _start_last_resort(status: int) -> None:
-    """Exit the process after a while if a thread does not end."""
-
-    def exit_after_timeout() -> None:
-        time.sleep(MAX_SHUTDOWN_SECONDS)
-        try:
-            print(
-                f"the shutdown has not ended after {MAX_SHUTDOWN_SECONDS:.0f} s: the process exits now",
-                file=sys.stderr,
-                flush=True,
-            )
-        finally:
-            os._exit(status)
-
-    threading.Thread(target=exit_after_timeout, daemon=True, name="last resort").start()

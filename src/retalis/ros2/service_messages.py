@@ -6,6 +6,9 @@ from typing import Any, Mapping
 
 _NANOSECONDS = 10**9
 
+_END_OF_TIME = (1 << 31) * _NANOSECONDS
+"""End of the range of times and durations, whose seconds are signed, in nanoseconds."""
+
 
 def read_fields(message: Any) -> SimpleNamespace:
     """Return the fields of a message, with times and durations in nanoseconds; nested messages in the same form."""
@@ -29,13 +32,16 @@ def fill_message(message: Any, values: Mapping[str, Any]) -> Any:
 
     Args:
         message: the message.
-        values: values by field. Nested messages are dictionaries; times and durations are integers in nanoseconds.
+        values: values by field. Nested messages are dictionaries; times and durations are integers in nanoseconds, of
+            which those out of range become the nearest one.
     """
     types = message.get_fields_and_field_types()
     for field, value in values.items():
         default = getattr(message, field)
         if _is_instant(default):
-            default.sec, default.nanosec = divmod(value, _NANOSECONDS)
+            default.sec, default.nanosec = divmod(
+                min(max(value, -_END_OF_TIME), _END_OF_TIME - 1), _NANOSECONDS
+            )
         elif isinstance(value, Mapping):
             fill_message(default, value)
         elif isinstance(value, (list, tuple)) and value and isinstance(value[0], Mapping):

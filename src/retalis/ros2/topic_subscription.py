@@ -79,7 +79,8 @@ class RclpySubscription:
     """Subscriptions of rclpy to one topic; see `Transport.subscribe`.
 
     There is one subscription, or for a moment two after the quality of service has changed. All publishers are one
-    source, because rclpy does not tell from which of them a message comes.
+    source, because rclpy does not tell from which of them a message comes. It has the name of the publisher if there
+    is one, and is replaced when another one follows.
 
     Args:
         node: the node.
@@ -107,6 +108,8 @@ class RclpySubscription:
         self._report = report
         self._lock = threading.Lock()
         self._receiver: Optional[MessageReceiver] = None
+        self._source_name = ""
+        self._has_other_publishers = False
         self._recent = RecentMessages()
         self._last_number = 0
         self._is_closed = False
@@ -191,6 +194,8 @@ class RclpySubscription:
                 # The numbers of other publishers say nothing about losses.
                 self._last_number = 0
             if has_changed or self._check_count % CHECKS_PER_CHOICE == 0:
+                # Also if their number is unchanged: one may have been replaced by another.
+                self._has_other_publishers = True
                 self._choose_again()
                 self._poll_lost_messages()
             self._check_count += 1
@@ -251,24 +256,32 @@ class RclpySubscription:
         is_own = self._options.is_own
         # Until the former subscription has been closed, messages arrive twice, and old ones again.
         is_overlap = self._former is not None
-        data = [
-            message.data
+        new = [
+            message
             for message in messages
             if self._recent.add(message) and not (is_own is not None and is_own(message.data))
         ]
-        if not data:
+        if not new:
             return
-        receiver = self._receiver
-        if receiver is None:
-            receiver = self._receiver = self._connect(self._make_source())
-        receiver.receive(data)
+        receiver = self._find_receiver()
+        receiver.receive([message.data for message in new], [message.received for message in new])
         # After `receive`: a message that is being processed may be lost, too.
         self._count_lost(messages, receiver, is_overlap)
 
-    def _make_source(self) -> MessageSource:
+    def _find_receiver(self) -> MessageReceiver:
+        """Return the receiver for the present publishers."""
+        receiver = self._receiver
+        if receiver is not None and not self._has_other_publishers:
+            return receiver
+        self._has_other_publishers = False
         publishers = self.publishers()
-        name = publishers[0] if len(publishers) == 1 else ""
-        return MessageSource(name, self._options.message_type, format=SerializationFormat.CDR)
+        # Without publishers, their last messages are received.
+        name = publishers[0] if len(publishers) == 1 else self._source_name if not publishers else ""
+        if receiver is None or name != self._source_name:
+            self._source_name = name
+            source = MessageSource(name, self._options.message_type, format=SerializationFormat.CDR)
+            receiver = self._receiver = self._connect(source)
+        return receiver
 
     def _count_lost(
         self, messages: List[ReceivedMessage], receiver: MessageReceiver, is_overlap: bool

@@ -311,6 +311,7 @@ def _check_comparable_number(value: object) -> float:
 
 
 ANYTHING: PlainType[object] = PlainType("any data, which its owner checks", lambda value: value)
+INTEGER = instances("an integer", int)
 BOOLEAN = instances("true or false", bool)
 TEXT = instances("a text", str)
 FUNCTOR = instances("a functor", Functor)
@@ -605,6 +606,30 @@ def nested_pairs_of(content: FieldType[Item]) -> FieldType[NestedPairs[Item]]:
         return values
 
     return FieldType(f"nested pairs of [{content.name}]", checker, encode)
+
+
+def stored_as(
+    content: FieldType[Item], make: Callable[[Item], Value], stored: Callable[[Value], Item]
+) -> FieldType[Value]:
+    """Return the type of values that are stored as values of another type.
+
+    Args:
+        content: type of the stored values.
+        make: makes a value from a stored one.
+        stored: returns the stored value of a value.
+    """
+
+    def checker(context: ReadContext) -> ValueCheck[Value]:
+        check = content.checker(context)
+        return lambda value: make(check(value))
+
+    encode = content.encoder
+    return FieldType(
+        content.name,
+        checker,
+        lambda value, graph: stored(value) if encode is None else encode(stored(value), graph),
+        content.has_sources,
+    )
 
 
 def compact_record_of(row_class: Type[Row], **fields: FieldType[Any]) -> FieldType[Row]:

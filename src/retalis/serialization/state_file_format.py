@@ -22,10 +22,19 @@ _MAX_HEADER_BYTES = 16_000_000
 _MAX_HEADER_DIGITS = 20
 """Maximum number of digits of an integer in the header."""
 
-FORMAT_NUMBER = 11
+FORMAT_NUMBER = 13
 """Format number of state files, incremented when the fields of a record change, see `MIGRATIONS`."""
 
-MIGRATIONS: Dict[int, Mapping[str, FieldChange]] = {}
+_NO_SERVICE_CALLS = ["count", 0, "failed_count", 0, "refused_count", 0, "unanswered_calls", [0, []]]
+
+MIGRATIONS: Dict[int, Mapping[str, FieldChange]] = {
+    11: {"StoredProgram": FieldChange(added={"strings": "quoted"})},
+    12: {
+        "StoredProgram": FieldChange(added={"awaited_types": []}),
+        "StoredRule": FieldChange(removed=["name"]),
+        "RunState": FieldChange(added={"service_calls": _NO_SERVICE_CALLS}),
+    },
+}
 """By format number: the changes of records, by name, from that format to the next one.
 
 The name of a record is that of the class whose state it is, or of the class of its rows.

@@ -6,6 +6,7 @@ call, up to a limit. `dot_text` writes the graph in the DOT language of Graphviz
 command ``dot``.
 """
 
+import os
 import re
 import subprocess
 from pathlib import Path
@@ -32,9 +33,10 @@ from ..engine.loaded_items import LoadedProgram
 from ..events.knowledge.transform_predicates import TF, TRANSFORM_PREDICATES
 from ..events.language.pattern_tree import EventPattern, own_terms, walk
 from ..events.language.rule_heads import ALARMS, SYNCHRONIZED
+from ..events.language.rule_labels import rule_title
 from ..events.language.state_parser import queried_state
 from ..events.language.timer_schedules import sets_timer
-from ..foundation.errors import MAX_SHOWN_CHARACTERS, UsageError, format_count, printable, shorten
+from ..foundation.errors import MAX_SHOWN_CHARACTERS, UsageError, format_count, line_of, printable, shorten
 from ..foundation.output_files import replace_file
 from ..prolog.database.predicate import Predicate
 from ..prolog.terms.list_terms import list_items, list_parts
@@ -98,7 +100,7 @@ class GraphNode(NamedTuple):
     Attributes:
         id: unique identifier.
         kind: ``topic``, ``event``, ``rule``, ``query``, ``memory``, ``transforms``, ``facts`` or ``output``.
-        label: short name.
+        label: short name; of a rule, its name and place.
         text: full description.
     """
 
@@ -200,14 +202,8 @@ class _GraphBuilder:
     def _add_rule(self, index: int, rule: Any) -> None:
         definition = rule.definition
         text = self._format_term(definition.term, definition.names)
-        label = "" if definition.label is None else self._format_term(definition.label)
-        source_place = definition.place
-        short_label = label or (
-            f"{_get_file_name(source_place.source)}:{source_place.line}"
-            if source_place is not None
-            else f"rule {index + 1}"
-        )
-        node = self._add_node("rule", f"{index}", text, short_label)
+        title = rule_title(rule.name, os.path.basename(line_of(rule.place)))
+        node = self._add_node("rule", f"{index}", text, title)
         # An event within a negated part of the pattern is drawn as absent.
         positive_parts = {id(part) for part in walk(definition.pattern)}
         goals: List[Term] = []
@@ -396,10 +392,6 @@ def _get_predicate_name(goal: Term) -> str:
     return "query" if key is None else key.name
 
 
-def _get_file_name(source: Optional[str]) -> str:
-    return (source or "").rpartition("/")[2]
-
-
 PICTURE_SUFFIXES = ("svg", "png", "pdf")
 """Formats that ``dot`` can render."""
 
@@ -563,12 +555,14 @@ def _format_node(node: GraphNode) -> str:
 
 
 def _format_label(node: GraphNode) -> str:
-    return "\n".join([_format_first_line(node), *_format_further_lines(node)])
+    return "\n".join([*_format_first_lines(node), *_format_further_lines(node)])
 
 
-def _format_first_line(node: GraphNode) -> str:
-    """Return the first line of a node, without the package of a message."""
-    return node.label.rpartition("__0__")[2] if node.kind == "event" else node.label
+def _format_first_lines(node: GraphNode) -> List[str]:
+    """Return the first lines of a node: its label without the package of a message; the place of a rule may wrap."""
+    if node.kind == "rule":
+        return wrap(_PACKAGE_PREFIX.sub("", node.label), MAX_LINE_CHARACTERS, break_long_words=False)
+    return [node.label.rpartition("__0__")[2] if node.kind == "event" else node.label]
 
 
 def _format_further_lines(node: GraphNode) -> List[str]:

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any, Callable, Dict, Iterable, List, Mapping, NamedTuple, Optional, Sequence, Tuple, cast
 
 from ..engine.run_records import (
+    LATER_FIELDS,
     RECORD_TYPES,
     EventRecord,
     MemoryStateRecord,
@@ -125,7 +126,7 @@ class TimelineBuilder:
         if read_mark is None:
             return
         for field in RECORD_TYPES[kind].__annotations__:
-            if field not in record:
+            if field not in record and field not in LATER_FIELDS:
                 raise UsageError(f'expected a field "{field}"')
         name, start, end, text = read_mark(record)
         # An empty memory has no time range.

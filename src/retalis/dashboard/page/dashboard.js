@@ -40,6 +40,7 @@ function seconds(value) {
 
 const since = (now, instant) => instant === null ? "–" : seconds(now - instant);
 const fileOf = (place) => place.split("/").pop().replace(/:\d+$/, "");
+const titleOf = (rule) => `${rule.name} (${fileOf(rule.place) || "added at run time"})`;
 const brief = (text) => text.replace(/(\d\.\d{3})\d+(?![\de])/g, "$1");
 
 // ---- Elements ------------------------------------------------------------------------------------------------
@@ -196,7 +197,7 @@ function showWaiting({ status }) {
 
 function showRules({ status, rates }) {
   const rows = status.rules.map((one, at) => ({ key: `${at} ${one.place}`, cells: [
-    { text: one.label || fileOf(one.place) || `rule ${at + 1}`, sub: one.text },
+    { text: titleOf(one), sub: one.text },
     numeric(number(one.fired)),
     numeric(rate(rates.get(`rule:${at}`))),
     numeric(one.last_fired === null ? "–" : `${since(status.now, one.last_fired)} ago`, false, true),

@@ -105,7 +105,12 @@ function made(name, attributes, text) {
 
 export function shortName(label) {
   const plain = label.replace(/^[A-Za-z0-9_]+__0__/, "");
-  return plain.length > LONGEST ? plain.slice(0, LONGEST - 1) + "…" : plain;
+  if (plain.length <= LONGEST) return plain;
+  // Of the place of a rule, the line remains: it distinguishes rules with the same name.
+  const [, name, line] = plain.match(/^(.*) \([^()]*(:\d+)\)$/) || [plain, plain, ""];
+  const space = LONGEST - (line ? line.length + 1 : 0);
+  const short = name.length > space ? name.slice(0, space - 1) + "…" : name;
+  return line ? `${short} ${line}` : short;
 }
 
 function line(path) {
@@ -171,7 +176,7 @@ export function draw(graph, place, shown) {
   for (const { node, x, y } of spots.values()) {
     const group = made("g", { transform: `translate(${x},${y})` });
     const round = node.kind === "event" ? HEIGHT / 2 : node.kind === "rule" ? 2 : 6;
-    group.append(made("title", {}, node.text));
+    group.append(made("title", {}, node.kind === "rule" ? `${node.label}\n${node.text}` : node.text));
     group.append(made("rect", { x: -WIDTH / 2, y: -HEIGHT / 2, width: WIDTH, height: HEIGHT, rx: round,
       class: `k-${node.kind}` }));
     group.append(made("text", { "text-anchor": "middle", y: 4 }, shortName(node.label)));

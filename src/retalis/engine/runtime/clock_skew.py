@@ -14,7 +14,7 @@ timestamps followed the node's time before.
 """
 
 import time
-from typing import Callable, Dict, Iterator, List, Optional
+from typing import Callable, Dict, Iterator, List, Optional, Set
 
 from ...events.clock.clock import JUMP
 from ...foundation.bounded_caches import Cache
@@ -28,7 +28,7 @@ MAX_UNREPORTED_SKEW_NS = 10 * SECOND
 """Maximum distance in ns of a timestamp from a prediction without a warning; ``max_distance_seconds`` may be less."""
 
 MIN_AGREEING_STAMPS = 10
-"""Number of consecutive distant timestamps in agreement after which the clock counts as set."""
+"""Number of consecutive messages with agreeing distant timestamps after which the clock counts as set."""
 
 MAX_UNKNOWN_PACE = 10.0
 """Maximum pace of a bag relative to real time while no pace was measured."""
@@ -51,6 +51,9 @@ _FRAME_BYTES = 500
 
 MAX_TOPICS = 1000
 """Maximum number of topics; when it is reached, all frames are removed."""
+
+MAX_NAMED_FRAMES = 20
+"""Maximum number of frames of a topic that are named in warnings."""
 
 _UNKNOWN_SECOND = -1
 """Value of `FrameClock.second` if the next message must be checked."""
@@ -77,7 +80,7 @@ class FrameClock:
         pace_start_stamp: timestamp from which the pace is measured.
         pace_start: real time of its receipt.
         candidate: first of consecutive distant timestamps that agree with each other.
-        agreeing_count: number of these.
+        agreeing_count: number of messages with these.
         is_reported: whether a warning was logged.
         min_offset: minimum offset, which is a timestamp minus the node's time at its receipt; negative if behind.
         max_offset: maximum offset.
@@ -201,14 +204,26 @@ class FrameClock:
         )
         return is_continuation and stamp - now > self.max_offset + JUMP and self.follows_clock
 
-    def add_distant(self, stamp: int, now: int, real_time: int, progress: int, max_distance: int) -> bool:
-        """Record a distant timestamp; return whether enough consecutive ones agree."""
+    def add_distant(
+        self, stamp: int, now: int, real_time: int, progress: int, max_distance: int, is_first: bool
+    ) -> bool:
+        """Record a distant timestamp; return whether those of enough consecutive messages agree.
+
+        Args:
+            stamp: the timestamp.
+            now: node's time.
+            real_time: monotonic time.
+            progress: progress of the timestamps of all topics.
+            max_distance: maximum distance in ns of timestamps that agree.
+            is_first: whether it is the first timestamp of the frame in its message.
+        """
         reference = self.candidate
         if (
             reference is not None
             and abs(reference.distance_from_prediction(stamp, now, real_time, progress)) <= max_distance
         ):
-            self.agreeing_count += 1
+            # The elements of one message agree also if its publisher is wrong.
+            self.agreeing_count += is_first
             reference.accept(stamp, now, real_time, True)
         else:
             self.candidate, self.agreeing_count = FrameClock(stamp, now, real_time, progress), 1
@@ -261,6 +276,9 @@ class ClockSkewMonitor:
     The first timestamp of a frame defines its reference. The time of receipt and other frames are no reference,
     because bags are old and the clocks of a robot differ.
 
+    The monitor is not thread-safe: decoders of `watch` and methods are called under one lock, in a node
+    `MessageProcessing.lock`.
+
     Args:
         reports: receives a warning per topic and frame.
         now: returns the node's time.
@@ -280,18 +298,22 @@ class ClockSkewMonitor:
         self._reports = reports
         self._now = now
         self._real_time = real_time
-        self._max_distance = None if max_distance_seconds is None else round(max_distance_seconds * SECOND)
+        self.set_max_distance(max_distance_seconds)
+        self._topics: Dict[str, TopicFrames] = {}
+        self._progress = 0
+        self._buffers_early_messages = buffers_early_messages
+        self._previous_epoch_end = 0
+        self._frame_bytes = 0
+
+    def set_max_distance(self, seconds: Optional[float]) -> None:
+        """Set the distance in seconds from which messages are refused; None for no limit."""
+        self._max_distance = None if seconds is None else round(seconds * SECOND)
         self._max_skew = (
             MAX_UNREPORTED_SKEW_NS
             if self._max_distance is None
             else min(MAX_UNREPORTED_SKEW_NS, self._max_distance)
         )
         self._checks_all = self._max_skew < MAX_UNREPORTED_SKEW_NS
-        self._topics: Dict[str, TopicFrames] = {}
-        self._progress = 0
-        self._buffers_early_messages = buffers_early_messages
-        self._previous_epoch_end = 0
-        self._frame_bytes = 0
 
     def __iter__(self) -> Iterator[TopicFrames]:
         return iter(list(self._topics.values()))
@@ -361,7 +383,10 @@ class ClockSkewMonitor:
         now, real_time = self._now(), self._real_time()
         farthest = 0
         self._check_epoch(frames, stamps, now)
+        checked_keys: Set[bytes] = set()
         for key, stamp in stamps:
+            is_first = key not in checked_keys
+            checked_keys.add(key)
             frame = frames.get(key)
             if frame is None:
                 self._store_frame(frames, key, FrameClock(stamp, now, real_time, self._progress))
@@ -371,7 +396,7 @@ class ClockSkewMonitor:
             if not -max_skew <= distance <= max_skew:
                 distance = frame.distance_from_prediction(stamp, now, real_time, self._progress)
             if not -max_skew <= distance <= max_skew:
-                if not frame.add_distant(stamp, now, real_time, self._progress, self._max_skew):
+                if not frame.add_distant(stamp, now, real_time, self._progress, self._max_skew, is_first):
                     farthest = max(farthest, abs(distance))
                     self._warn_about_distance(frames, frame, key, distance, publisher)
                     continue
@@ -475,10 +500,6 @@ class ClockSkewMonitor:
             ("set clock", topic),
             texts=MAX_NAMED_FRAMES,
         )
-
-
-MAX_NAMED_FRAMES = 20
-"""Maximum number of frames of a topic that are named in warnings."""
 
 
 def _format_frame_name(key: bytes) -> str:

@@ -174,6 +174,8 @@ class SerialExecutor(StateOwner):
     ):
         self._size = size
         self._queue: Deque[Tuple[Callable[..., object], Tuple[object, ...]]] = deque()
+        self._kept_work: Deque[Tuple[Callable[..., object], Tuple[object, ...]]] = deque()
+        """Work of `post_kept`; the queue has an entry of `_do_kept_work` for each."""
         self._calls: Deque[QueuedCall] = deque()
         self._lock = threading.RLock()
         self._working_thread: Optional[int] = None
@@ -203,7 +205,7 @@ class SerialExecutor(StateOwner):
         """The working thread; None if the executor is idle."""
         return self._working_thread
 
-    def add_recovery(self, recovery: Recovery) -> None:
+    def set_recovery(self, recovery: Recovery) -> None:
         """Set what returns to an earlier state after an error, once the data exists."""
         self._recovery = recovery
 
@@ -231,7 +233,8 @@ class SerialExecutor(StateOwner):
             if not self._queue and not self._calls and self._lock.acquire(False):
                 if self._working_thread is not None:
                     self._refuse_work()
-                self.entry = arguments
+                # Work without arguments gets a new tuple: the limits of entries compare them by identity.
+                self.entry = arguments or (work,)
                 self._working_thread = this_thread
                 work(*arguments)
                 self._working_thread = None
@@ -247,6 +250,20 @@ class SerialExecutor(StateOwner):
             raise
         if PENDING:
             raise_pending()
+
+    def post_kept(self, work: Callable[..., object], *arguments: object) -> None:
+        """Post work that is not dropped and does not wait for room if the queue is full; see `post`.
+
+        The caller limits the number of such pieces of work.
+        """
+        self._kept_work.append((work, arguments))
+        self.post(self._do_kept_work)
+
+    def _do_kept_work(self) -> None:
+        """Do the oldest work of `post_kept`."""
+        work, arguments = self._kept_work.popleft()
+        self.entry = arguments or (work,)
+        work(*arguments)
 
     def post_each(
         self,
@@ -388,7 +405,10 @@ class SerialExecutor(StateOwner):
             raise
 
     def call_next(self, work: Callable[[], object]) -> None:
-        """Schedule work directly after the current one; called from inside of work."""
+        """Schedule work directly after the current one; called from inside of work.
+
+        Of several pieces of work that the current one schedules, the last is done first.
+        """
         calls = self._calls
         call = QueuedCall(work)
         call.is_follow_up = True
@@ -435,7 +455,7 @@ class SerialExecutor(StateOwner):
         return self._refuse_work()
 
     def _append(self, work: Callable[..., object], arguments: Tuple[object, ...]) -> None:
-        if len(self._queue) >= self._size:
+        if len(self._queue) >= self._size and work != self._do_kept_work:
             self._make_room()
         self._queue.append((work, arguments))
 
@@ -469,10 +489,20 @@ class SerialExecutor(StateOwner):
             return None
 
     def _drop_oldest(self) -> None:
+        """Drop the oldest entry that is not one of `post_kept`."""
+        kept_entries = []
         try:
-            self._queue.popleft()
-        except IndexError:  # the working thread took it in the meantime
+            while True:
+                entry = self._queue.popleft()
+                if entry[0] != self._do_kept_work:
+                    break
+                kept_entries.append(entry)
+        except IndexError:  # the working thread took it in the meantime, or all entries are kept
             return
+        finally:
+            # The working thread may do later entries meanwhile. The order of the kept work does not change: the
+            # entries are equal, and each does the oldest work of `_kept_work`.
+            self._queue.extendleft(kept_entries)
         self.dropped += 1
         self._on_drop(self.dropped)
 
@@ -517,7 +547,7 @@ class SerialExecutor(StateOwner):
             except IndexError:
                 self._waits_for_room = True
                 break
-            self.entry = arguments
+            self.entry = arguments or (work,)
             try:
                 work(*arguments)
             except Exception as error:  # a failing event must not affect the others
@@ -578,6 +608,7 @@ class SerialExecutor(StateOwner):
 
     def _make_unusable(self, refusal: str) -> None:
         self.refusal = refusal
+        # The class changes because a check of `refusal` in its methods would cost each event.
         self.__class__ = _UnusableExecutor
 
 

@@ -19,7 +19,7 @@ from ...prolog.machine.resource_limits import Budget
 from ...prolog.system.prolog_system import PrologSystem
 from ...prolog.terms.types import COMMA, Atom, deref
 from .problem_reports import Reports
-from .serial_executor import SerialExecutor
+from .serial_executor import UNNAMED_REQUEST, SerialExecutor
 
 OnSlowWork = Callable[[float, object], None]
 """Takes the duration of an entry in seconds, and the entry."""
@@ -29,9 +29,6 @@ _SAMPLES_PER_LIMIT = 5
 
 _MAX_CONJUNCTION_DEPTH = 1000
 """Maximum depth of conjunctions for finding the first goal."""
-
-_UNNAMED_ENTRY = "a request"
-"""Name of an entry without a term or text."""
 
 _MIN_SAMPLE_INTERVAL_SECONDS = 0.005
 _MAX_SAMPLE_INTERVAL_SECONDS = 0.5
@@ -75,6 +72,20 @@ class Watchdog:
         self._measured_entry: object = None
         self._start_time = 0.0
         self._next_warning: Optional[float] = warn_after
+        self._is_started = False
+
+    def start(self) -> None:
+        """Start the thread, unless it is running or has nothing to check: neither a warning nor a time limit."""
+        if self._is_started or (self._warn_after is None and self._budget.limits.seconds is None):
+            return
+        self._is_started = True
+        _start_thread(self)
+        _STARTED_WATCHDOGS.add(self)
+
+    def set_warning_time(self, warn_after: Optional[float]) -> None:
+        """Set the seconds until the first warning, for work that starts after this, after the limits were set."""
+        self._warn_after = warn_after
+        self.start()
 
     def sample(self, now: float) -> None:
         """Sample the running work at a time of the monotonic clock."""
@@ -140,12 +151,20 @@ def start_watchdog(
             # The engine's thread may change the data while it is read here. Such an error must not end the watchdog.
             reports.error(error)
 
+    watchdog = Watchdog(executor, budget, warn_after, warn)
+    watchdog.start()
+    return watchdog
+
+
+def report_exceeded_limits(budget: Budget, reports: Reports) -> None:
+    """Report goals and pattern work that a budget omits because an entry has exceeded a limit."""
+
     def warn_of_refusal(goal_count: int, limit: str, entry: object) -> None:
         text = f"{_describe_entry(entry)} has exceeded its limit of {limit}; goals refused: {goal_count}"
         reports.warning(text, ("refused goals", _describe_entry(entry)))
 
     def warn_of_stop(rule: Any, limit: str, omitted_count: int, entry: object) -> None:
-        name = "retraction of events" if rule is None else rule.name
+        name = "retraction of events" if rule is None else f"rule {rule.name}"
         text = (
             f"{name}: {_describe_entry(entry)} has exceeded its limit of {limit} while patterns were matched:"
             f" {omitted_count} pairs, items or derived events were omitted, with all their consequences"
@@ -156,12 +175,6 @@ def start_watchdog(
 
     budget.on_refused.add(warn_of_refusal)
     budget.on_stopped.add(warn_of_stop)
-    watchdog = Watchdog(executor, budget, warn_after, warn)
-    # Without a warning and a time limit there is nothing to sample, so no thread is started.
-    if warn_after is not None or budget.limits.seconds is not None:
-        _start_thread(watchdog)
-        _STARTED_WATCHDOGS.add(watchdog)
-    return watchdog
 
 
 def _start_thread(watchdog: Watchdog) -> None:
@@ -238,7 +251,7 @@ def _find_first_goal(term: Any) -> Any:
 
 def _describe_entry(entry: object) -> str:
     """Return a short name of an entry, a tuple that begins with a term or a text; other objects have no name."""
-    return _describe_term(entry[0]) if isinstance(entry, tuple) and entry else _UNNAMED_ENTRY
+    return _describe_term(entry[0]) if isinstance(entry, tuple) and entry else UNNAMED_REQUEST.name
 
 
 def _describe_term(term: Any) -> str:
@@ -248,4 +261,4 @@ def _describe_term(term: Any) -> str:
         return shorten(goal)
     if isinstance(goal, Atom):
         return shorten(goal.name)
-    return shorten(str(goal[0])) if isinstance(goal, tuple) else _UNNAMED_ENTRY
+    return shorten(str(goal[0])) if isinstance(goal, tuple) else UNNAMED_REQUEST.name

@@ -24,13 +24,17 @@ from .event_flow_checks import find_declaration_violations, find_unconsumed_even
 from .long_event_window_checks import find_windows_of_long_events
 from .memory_checks import find_empty_memories, find_record_mismatches, find_unknown_memories
 from .message_checks import (
+    find_awaited_constants,
     find_impossible_values,
     find_message_mismatches,
     find_output_mismatches,
+    find_refused_services,
+    find_request_mismatches,
     find_shared_events,
     find_topic_mistakes,
     find_untyped_topics,
 )
+from .number_type_checks import find_inexact_decimals, find_number_type_mismatches
 from .predicate_checks import (
     find_constants_meant_as_variables,
     find_duplicate_labels,
@@ -58,7 +62,7 @@ from .time_checks import (
     find_unlikely_spans,
 )
 from .value_flow import find_conflicting_flows, find_impossible_flows
-from .variable_type_checks import find_inexact_decimals, find_number_type_mismatches, find_type_conflicts
+from .variable_type_checks import find_type_conflicts
 
 ERROR, WARNING, INFO = "error", "warning", "info"
 
@@ -93,7 +97,10 @@ CHECKS: Tuple[Check, ...] = (
     Check("numerals", "RT1107", find_number_type_mismatches),
     Check("decimals", "RT1109", find_inexact_decimals, severity=INFO),
     Check("shared-events", "RT1110", find_shared_events, requires_valid_program=True, severity=INFO),
+    Check("awaited-constants", "RT1111", find_awaited_constants, severity=INFO),
     Check("outputs", "RT1103", find_output_mismatches),
+    Check("outputs", "RT1103", find_request_mismatches),
+    Check("refused-services", "RT1112", find_refused_services),
     Check("unpublished", "RT1102", find_untyped_topics, requires_valid_program=True),
     Check("never-made", "RT1201", find_unproduced_events, requires_valid_program=True),
     Check("never-taken", "RT1202", find_unconsumed_events, requires_valid_program=True),

@@ -18,8 +18,10 @@ from ..language.pattern_tree import (
     ActionPattern,
     AggregatePattern,
     ConditionPattern,
+    InstantPattern,
     KleenePattern,
     NotPattern,
+    NotPrecededPattern,
     PairPattern,
     Pattern,
     RatePattern,
@@ -30,6 +32,9 @@ from ..language.rule_heads import event_raised_by
 from .program_model import ProgramModel, SourceRule, Subterm, key_of, subterms, wrap_term
 
 NUMERIC_COMPARISONS = frozenset(functor(name, 2) for name in ("<", ">", "=<", ">=", "=:=", "=\\="))
+ALTERNATIVES = frozenset((functor("or", 2), functor("\\/", 2), functor(";", 2), functor("->", 2)))
+"""Operators with alternatives: a variable may be bound in another one."""
+
 IS = functor("is", 2)
 _IRREFLEXIVE = frozenset(functor(name, 2) for name in ("<", ">", "\\==", "\\=", "@<", "@>"))
 """Comparisons that never hold for equal terms; ``X =\\= X`` holds for nan."""
@@ -137,8 +142,8 @@ def _conditions_with_bounds(
             yield node, {}
 
 
-_SHARING = (PairPattern, ConditionPattern, WithinPattern, ActionPattern, RatePattern)
-_PARTLY_SHARING = (NotPattern, AbsencePattern, KleenePattern, AggregatePattern)
+_SHARING = (PairPattern, ConditionPattern, WithinPattern, ActionPattern, RatePattern, InstantPattern)
+_PARTLY_SHARING = (NotPattern, AbsencePattern, NotPrecededPattern, KleenePattern, AggregatePattern)
 """Nodes whose first operand is part of each match; the second is negated, or need not be there."""
 
 

@@ -86,9 +86,9 @@ class EventProducers:
         )
 
     def _add_topics(self, program: ProgramModel) -> None:
-        for topic, type_name in (*program.topics.subscribed, *program.directly_subscribed):
-            name = program.event_name_of(topic) or functor_name(type_name)
-            definition = program.definition(type_name)
+        for topic in (*program.topics.subscribed, *program.directly_subscribed):
+            name = program.topics.functor_name_of(topic)
+            definition = program.definition(topic.type)
             # The number of slots is unknown, so every arity of the name is accepted.
             if definition is None:
                 self.names_of_any_arity.add(name)

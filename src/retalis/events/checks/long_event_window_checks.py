@@ -10,14 +10,15 @@ from collections import deque
 from typing import Any, Deque, Dict, Iterator, List, Mapping, NamedTuple, Optional, Set
 
 from ...foundation.errors import RuleError
-from ...prolog.terms.types import CompoundTerm, Functor, Var, atom, deref, functor
+from ...prolog.terms.types import CompoundTerm, Functor, Var, deref, functor
 from ..language.event_operators import PAIR_OPERATORS
 from ..language.pattern_tree import (
+    AT_END,
     AbsencePattern,
     AggregatePattern,
     EventPattern,
+    InstantPattern,
     KleenePattern,
-    NotPattern,
     PairPattern,
     Pattern,
     WindowPattern,
@@ -76,20 +77,10 @@ def find_windows_of_long_events(program: ProgramModel) -> Iterator[RuleError]:
 
 
 def _advise_end(program: ProgramModel, node: WindowPattern, names: Mapping[Var, str]) -> str:
-    """Return the advice to measure an event that has only the end of an element."""
+    """Return the advice to measure the instants at which the elements end."""
     if not isinstance(node.collected, EventPattern):
-        return "write a rule for the pattern, and another one that emits an instant at its end"
-    event = deref(node.collected.term)
-    key = key_of(event)
-    if key is None:
-        return "measure an event that has only the end"
-    arguments = event[1:] if event.__class__ is tuple else ()
-    end = (functor(f"{key.name}_end", key.arity), *arguments) if arguments else atom(f"{key.name}_end")
-    shown = program.brief(end, names)
-    return (
-        f"measure {shown} and add the rule null do new_event({shown}, [E, E]) <- "
-        f"{program.brief(event, names)} check t2(E)"
-    )
+        return f"write {AT_END}(...) around what is measured"
+    return f"measure {program.brief(functor(AT_END, 1)(node.collected.term), names)}"
 
 
 def _windows_of(pattern: Pattern) -> List[WindowPattern]:
@@ -117,11 +108,9 @@ def _find_duration(pattern: Pattern) -> _Duration:
             return _Duration("aggregate", events)
         elif isinstance(node, KleenePattern):
             return _Duration("*", events)
-        elif isinstance(node, NotPattern):
-            # A match has the interval of the first operand.
-            stack.append(node.pattern)
-        else:
-            stack += children(node)
+        elif not isinstance(node, InstantPattern):
+            # A match of a negation has the interval of the first operand.
+            stack += children(node, negated=False)
     return _Duration("", events)
 
 

@@ -17,10 +17,12 @@ from ...foundation.errors import (
     printable,
     shorten,
 )
-from ...foundation.ros_name_checks import strip_slashes
+from ...foundation.ros_name_checks import ros1_type_name, strip_slashes
 from ...foundation.similar_names import closest_name, did_you_mean
+from ...messages.action_events import STATUS, STATUSES, find_action_event
 from ...messages.encoder import find_fault
 from ...messages.type_definition import Definition, Field, type_name
+from ...prolog.syntax.literals import atom_text
 from ...prolog.terms.list_terms import list_items
 from ...prolog.terms.types import (
     FALSE,
@@ -37,7 +39,17 @@ from ...prolog.terms.types import (
 )
 from ..language.pattern_parser import no_place
 from ..language.rule_heads import NEW_EVENT, event_raised_by
-from ..program.topic_configuration import ATTRIBUTES, TOPICS, read_xml
+from ..program.topic_configuration import (
+    ATTRIBUTES,
+    OBSERVE_ACTION,
+    OBSERVE_SERVICE,
+    PUBLISH,
+    ROOT_ATTRIBUTES,
+    ROOT_ELEMENT,
+    SUBSCRIBE,
+    TOPICS,
+    read_xml,
+)
 from .event_flow_checks import SUBSCRIBE_TO
 from .program_model import (
     MIN_SIMILARITY,
@@ -167,8 +179,10 @@ def find_impossible_values(program: ProgramModel) -> Iterator[RuleError]:
                 continue
             for position, slot in enumerate(definition.fields, 1):
                 value = deref(subterm.term[position])
-                fault = _find_slot_named_in_parentheses(definition, subterm.term, value) or _find_value_fault(
-                    slot, value
+                fault = (
+                    _find_slot_named_in_parentheses(definition, subterm.term, value)
+                    or _find_value_fault(slot, value)
+                    or _find_status_fault(definition, slot, value)
                 )
                 if fault:
                     message = f"{slot.name} of {definition.name} {fault}"
@@ -183,6 +197,15 @@ def _find_slot_named_in_parentheses(definition: Definition, message: CompoundTer
     return f"is not named in parentheses: write {message[0].name}{{{name.name}: ...}}"
 
 
+def _find_status_fault(definition: Definition, slot: Field, value: Any) -> str:
+    """Return the error for a status that no goal of an action has, or ""."""
+    is_status = slot.name == STATUS and find_action_event(definition.name) is not None
+    if not is_status or not isinstance(value, Atom):
+        return ""
+    name = value.name.strip('"')
+    return "" if name in STATUSES else f"is {' or '.join(STATUSES)}{did_you_mean(name, STATUSES)}"
+
+
 def _find_value_fault(slot: Field, value: Any) -> str:
     """Return the reason why a slot never has a value, or ""."""
     if value.__class__ is Var:
@@ -191,6 +214,8 @@ def _find_value_fault(slot: Field, value: Any) -> str:
         is_list = value is NIL or list_items(value) is not None or _is_open_list(value)
         # An open list may have any length.
         return "" if is_list else "is a list in events: write [...]"
+    if slot.is_plain:
+        return _find_plain_text_fault(value)
     if slot.type == "string" or slot.is_bytes:
         return _find_text_fault(value)
     if slot.definition is not None:
@@ -216,6 +241,18 @@ def _find_text_fault(value: Any) -> str:
         if isinstance(value, (int, float))
         else "is a string in events"
     )
+
+
+def _find_plain_text_fault(value: Any) -> str:
+    if isinstance(value, Atom):
+        name = value.name
+        is_quoted = len(name) > 1 and name[0] == name[-1] == '"'
+        return f"is a text without quotes inside: write {atom_text(name[1:-1])}" if is_quoted else ""
+    if isinstance(value, String):
+        return f"is an atom in events: write {atom_text(value.text)}"
+    if isinstance(value, (int, float)):
+        return f"is a text in events: write '{value}'"
+    return "is a text in events"
 
 
 def _find_number_fault(value: Any) -> str:
@@ -260,6 +297,51 @@ def find_output_mismatches(program: ProgramModel) -> Iterator[RuleError]:
                 f"{subscription.prefix}{fault}",
                 subscription.place_of(subscription.term, 1 if subscription.stores_whole_event else 3),
             )
+
+
+_ROS_SERVICE = frozenset((functor("ros_service", 4), functor("ros_service", 5)))
+
+
+def find_request_mismatches(program: ProgramModel) -> Iterator[RuleError]:
+    """Yield requests of services that do not fit their types."""
+    for subterm in _service_goals(program):
+        name = _constant_text(subterm.term[1])
+        request: Any = deref(subterm.term[3])
+        definition = program.definition(f"{ros1_type_name(_constant_text(subterm.term[2]))}_Request")
+        # Other checks report a message with a wrong number of slots.
+        has_other_arity = (
+            request.__class__ is tuple
+            and definition is not None
+            and request[0].name == definition.functor_name
+            and len(request) - 1 != len(definition.fields)
+        )
+        if definition is None or has_other_arity:
+            continue
+        fault = find_fault(definition, request)
+        if fault:
+            yield RuleError(f"request of service {shorten(name)}: {fault}", subterm.place_of(subterm.term, 3))
+
+
+def find_refused_services(program: ProgramModel) -> Iterator[RuleError]:
+    """Yield services that goals may not call."""
+    for subterm in _service_goals(program):
+        name = _constant_text(subterm.term[1])
+        refusal = program.find_refusal(name) if name else ""
+        if refusal:
+            yield RuleError(refusal, subterm.place)
+
+
+def _service_goals(program: ProgramModel) -> Iterator[Subterm]:
+    """Yield the terms that call a service."""
+    return (subterm for subterm in program.all_subterms() if subterm.key in _ROS_SERVICE)
+
+
+def _constant_text(term: Term) -> str:
+    """Return the text of an atom or string; "" for other terms."""
+    value: Any = deref(term)
+    if value.__class__ is String:
+        return str(value.text)
+    return str(value.name) if value.__class__ is Atom else ""
 
 
 def find_untyped_topics(program: ProgramModel) -> Iterator[RuleError]:
@@ -321,9 +403,6 @@ def find_output_fault(definition: Definition, subscription: CompoundTerm, topic:
     return None if is_variable(output) else find_fault(definition, output, topic)
 
 
-_ROOT_ELEMENT = "publish_subscribe"
-
-
 class Element(NamedTuple):
     """Element of ``pub_sub.xml``, with its place."""
 
@@ -368,31 +447,66 @@ def find_topic_mistakes(program: ProgramModel) -> Iterator[RuleError]:
         return
     elements_by_topic: Dict[Tuple[str, str], Element] = {}
     for element in read_elements(program.folder / TOPICS):
+        if element.tag == ROOT_ELEMENT:
+            yield from _find_unknown_attributes(element, tuple(ROOT_ATTRIBUTES))
+            continue
         attributes = ATTRIBUTES.get(element.tag)
         if attributes is None:
-            if element.attributes and element.tag != _ROOT_ELEMENT:
+            if element.attributes:
                 tag = printable(shorten(element.tag))
                 yield RuleError(
                     f"<{tag}> is not known: it is ignored{did_you_mean(element.tag, ATTRIBUTES, 0.5)}",
                     element.place,
                 )
             continue
-        for name in element.attributes:
-            if name not in attributes:
-                attribute = printable(shorten(name))
-                hint = did_you_mean(name, attributes, MIN_SIMILARITY) or f"; it has {', '.join(attributes)}"
-                yield RuleError(f"<{element.tag}> has no attribute {attribute}{hint}", element.place)
-        topic, type_name = (element.attributes.get(name, "").strip() for name in ("name", "msg_type"))
+        yield from _find_unknown_attributes(element, attributes)
+        topic, type_name = (element.attributes.get(name, "").strip() for name in attributes[:2])
         # Names with and without a leading slash denote the same topic at the top level.
         first = elements_by_topic.setdefault((element.tag, strip_slashes(topic)), element)
         if first is not element:
             yield RuleError(_explain_duplicate_topic(element, first, topic, type_name), element.place)
+        if element.tag in _INTERFACE_FOLDERS:
+            yield from _find_interface_mistakes(program, element, topic, ros1_type_name(type_name))
+            continue
         yield from _find_misspelt_type(program, type_name, element.place)
-        if element.tag == _SUBSCRIBE_TO:
+        if element.tag == SUBSCRIBE:
             yield from _find_unrecorded_topic(program, topic, type_name, element.place)
 
 
-_SUBSCRIBE_TO = "subscribe_to"
+def _find_unknown_attributes(element: Element, attributes: Tuple[str, ...]) -> Iterator[RuleError]:
+    for name in element.attributes:
+        if name not in attributes:
+            attribute = printable(shorten(name))
+            hint = did_you_mean(name, attributes, MIN_SIMILARITY) or f"; it has {', '.join(attributes)}"
+            yield RuleError(f"<{element.tag}> has no attribute {attribute}{hint}", element.place)
+
+
+_INTERFACE_FOLDERS = {OBSERVE_ACTION: "action", OBSERVE_SERVICE: "srv"}
+
+
+def _find_interface_mistakes(
+    program: ProgramModel, element: Element, name: str, type_name: str
+) -> Iterator[RuleError]:
+    """Yield a misspelt type of an action or service, and one that the bags do not have."""
+    folder_name = _INTERFACE_FOLDERS[element.tag]
+    description = "action" if element.tag == OBSERVE_ACTION else "service"
+    closest = program.definitions.misspelt_interface(type_name, folder_name)
+    if closest:
+        yield RuleError(f"there is no {description} type {type_name}; did you mean {closest}?", element.place)
+    # The names of topics of an action begin with that of the action.
+    prefix = f"{strip_slashes(name)}/"
+    recorded_names = [strip_slashes(recorded.topic) for recorded in program.recorded_topics]
+    if not recorded_names or any(recorded.startswith(prefix) for recorded in recorded_names):
+        return
+    hint = did_you_mean(strip_slashes(name), map(_interface_topic, recorded_names), MIN_SIMILARITY)
+    if hint:
+        yield RuleError(f"the bag has no {description} {name}{hint}", element.place)
+
+
+def _interface_topic(topic: str) -> str:
+    """Return the name of the action or service that a topic may belong to."""
+    name, mark, _ = topic.partition("/_")
+    return name if mark else topic.rpartition("/")[0]
 
 
 def _find_unrecorded_topic(
@@ -421,6 +535,16 @@ def _find_unrecorded_topic(
         yield RuleError(f"the bag has no topic {topic}; did you mean {suggestions[0]}?", place)
 
 
+def find_awaited_constants(program: ProgramModel) -> Iterator[RuleError]:
+    """Yield constants of types whose definitions are not known yet."""
+    for message_type, place in program.awaited_constants.items():
+        yield RuleError(
+            f"the constants of {message_type} are not known: rules with them match nothing until the program is "
+            "loaded again, after a publisher has defined the type",
+            place,
+        )
+
+
 def find_shared_events(program: ProgramModel) -> Iterator[RuleError]:
     """Yield topics of one type whose messages are the same event, if a rule does not tell them apart."""
     if program.folder is None:
@@ -429,7 +553,7 @@ def find_shared_events(program: ProgramModel) -> Iterator[RuleError]:
     shared: Dict[str, Element] = {}
     for element in read_elements(program.folder / TOPICS):
         type_name = element.attributes.get("msg_type", "").strip()
-        if element.tag == _SUBSCRIBE_TO and not element.attributes.get("event"):
+        if element.tag == SUBSCRIBE and not element.attributes.get("event"):
             first = first_elements.setdefault(type_name, element)
             if first is not element:
                 shared.setdefault(type_name, element)
@@ -468,6 +592,13 @@ def _find_misspelt_types_in_goals(program: ProgramModel) -> Iterator[RuleError]:
             yield from _find_misspelt_type(
                 program, getattr(deref(subterm.term[2]), "name", ""), subterm.place
             )
+        elif subterm.key in _ROS_SERVICE:
+            type_name = ros1_type_name(_constant_text(subterm.term[2]))
+            closest = program.definitions.misspelt_interface(type_name, "srv")
+            if closest:
+                yield RuleError(
+                    f"there is no service type {type_name}; did you mean {closest}?", subterm.place
+                )
 
 
 def _find_misspelt_type(program: ProgramModel, type_name: str, place: Optional[Place]) -> Iterator[RuleError]:
@@ -477,7 +608,16 @@ def _find_misspelt_type(program: ProgramModel, type_name: str, place: Optional[P
 
 
 def _explain_duplicate_topic(element: Element, first: Element, topic: str, type_name: str) -> str:
-    action = "subscribed" if element.tag == "subscribe_to" else "published"
-    other_type = first.attributes.get("msg_type", "").strip()
+    subject, action = _DUPLICATES[element.tag]
+    other_type = first.attributes.get(ATTRIBUTES[element.tag][1], "").strip()
     types = "" if other_type == type_name else f", as {other_type}"
-    return f"topic {topic} is {action} already in line {first.place.line}{types}: remove one of the two"
+    return f"{subject} {topic} is {action} already in line {first.place.line}{types}: remove one of the two"
+
+
+_DUPLICATES = {
+    SUBSCRIBE: ("topic", "subscribed"),
+    PUBLISH: ("topic", "published"),
+    OBSERVE_ACTION: ("action", "observed"),
+    OBSERVE_SERVICE: ("service", "observed"),
+}
+"""Subject of an element and the verb for it, in reports of repeated elements."""

@@ -9,17 +9,29 @@ import os
 from collections import Counter
 from typing import Any, Dict, Iterator, List, Optional, Set, Tuple
 
-from ...foundation.errors import RuleError, UsageError
+from ...foundation.errors import RuleError
 from ...prolog.machine.arithmetic import EVALUABLE
 from ...prolog.terms.term_traversal import term_key
-from ...prolog.terms.types import COMMA, CONS, SLASH, Atom, CompoundTerm, Functor, Term, Var, deref, functor
+from ...prolog.terms.types import (
+    COMMA,
+    CONS,
+    SLASH,
+    Atom,
+    CompoundTerm,
+    Functor,
+    String,
+    Term,
+    Var,
+    deref,
+    functor,
+)
 from ..language.called_predicates import calls
 from ..language.event_operators import OPERATOR_NAMES
 from ..language.pattern_parser import no_place
 from ..language.pattern_tree import EventPattern, walk
 from ..language.rule_heads import event_raised_by
 from ..language.state_parser import queried_state
-from ..program.topic_configuration import GOALS, RULES, read_text
+from ..program.topic_configuration import GOALS, RULES
 from .condition_checks import NUMERIC_COMPARISONS, conjunctions_of
 from .program_model import (
     NECK,
@@ -278,13 +290,17 @@ def find_unloaded_rule_file(program: ProgramModel) -> Iterator[RuleError]:
     path = program.folder / RULES
     if not os.path.isfile(path) or program.rule_base.files.has_loaded(path):
         return
-    try:
-        goals = read_text(program.folder / GOALS)
-    except UsageError:
-        # Reported when the file was loaded.
-        goals = ""
-    if RULES not in goals:
+    # A goal that names the file is enough: whether it is called can depend on conditions.
+    texts = (_text_of(subterm.term) for subterm in program.all_subterms())
+    if not any(RULES in text for text in texts):
         yield RuleError(f"{path} is not read: no goal in {GOALS} calls compile_event_file('{RULES}')")
+
+
+def _text_of(term: Term) -> str:
+    """Return the text of an atom or string; "" for other terms."""
+    if isinstance(term, Atom):
+        return str(term.name)
+    return str(term.text) if isinstance(term, String) else ""
 
 
 def find_undeclared_states(program: ProgramModel) -> Iterator[RuleError]:
@@ -354,7 +370,10 @@ def _explain_variable_as_constant(program: ProgramModel, name: str, variable: Su
         slot = definition.fields[variable.position - 1]
         for constant in definition.constants:
             if constant.name == name and not constant.problem:
-                return f"{matches}: for the constant of {definition.name} write {constant.text.strip()}"
+                return (
+                    f"{matches}: for the constant of {definition.name} write {{{name}}} in a named slot, "
+                    f"{definition.functor_name}{{{name}}} elsewhere"
+                )
         if slot.type == "bool" and name.lower() in ("true", "false"):
             return f"{matches}: write {name.lower()}"
     constants = program.derive(_constants_by_position)

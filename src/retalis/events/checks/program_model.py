@@ -11,6 +11,7 @@ term, event or predicate is its functor.
 
 import os
 from collections import ChainMap
+from contextlib import nullcontext
 from pathlib import Path
 from typing import (
     Any,
@@ -392,6 +393,7 @@ class ProgramModel:
         folder: the folder of the program, or its only event file; None if only the loaded program is checked.
         has_observer: whether there is an observer of all events.
         recorded_topics: topics of bags that the program is to run with.
+        find_refusal: returns the reason why goals may not call a service, or "".
     """
 
     def __init__(
@@ -404,6 +406,7 @@ class ProgramModel:
         folder: Optional[Path] = None,
         has_observer: bool = False,
         recorded_topics: Tuple[RecordedTopic, ...] = (),
+        find_refusal: Callable[[str], str] = lambda name: "",
     ):
         self.rule_base = rules
         self.logic: PrologSystem = rules.logic
@@ -418,9 +421,15 @@ class ProgramModel:
         self.folder = folder
         self.has_observer = has_observer
         self.recorded_topics = recorded_topics
+        self.awaited_constants: Dict[str, Place] = {}
+        self.find_refusal = find_refusal
         files = ParsedSources([], [], [], [], set())
         if folder is not None:
-            files = parse_sources_again(self.logic, folder, rules.files.loaded)
+            message_types = self.logic.operators.message_types
+            # Constants of unknown types that were accepted when the program was loaded are accepted again.
+            with nullcontext({}) if message_types is None else message_types.awaiting() as places:
+                files = parse_sources_again(self.logic, folder, rules.files.loaded)
+            self.awaited_constants.update(places)
         self.read_terms: List[ReadTerm] = files.read_terms
         self.names: Dict[Var, str] = {
             var: name for read in files.read_terms for name, var in read.names.items()

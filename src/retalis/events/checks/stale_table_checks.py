@@ -56,11 +56,13 @@ def find_stale_tables(program: ProgramModel) -> Iterator[RuleError]:
     changed_predicates = {key for subterm in run_time_subterms for key in _find_changed_predicates(subterm)}
     reads = _direct_reads(program, changed_predicates)
     callers = _callers_by_predicate(program)
-    incremental = {key for key in tables if _is_incremental(program, key)}
+    # A dictionary and not a set, so that warnings have the order of the declarations.
+    incremental = dict.fromkeys(key for key in tables if _is_incremental(program, key))
 
     # A dynamic table is stale if its own clauses change.
-    for key in changed_predicates.intersection(tables):
-        reads.setdefault(key, _ChangingData("clauses of its own"))
+    for key in tables:
+        if key in changed_predicates:
+            reads.setdefault(key, _ChangingData("clauses of its own"))
     readers = _propagate_reads(reads, callers, ())
     for key, declaration in tables.items():
         if key in readers and key not in incremental and "opaque" not in declaration.options:
@@ -85,7 +87,7 @@ def _explain_stale_table(program: ProgramModel, key: Functor, data: _ChangingDat
         dynamic_advice = f" and :- dynamic {data.dynamic} as incremental"
     return (
         f"table {key} reads {data.text}, and keeps its answers when that changes: write :- table {key} as "
-        f"incremental{dynamic_advice}; where it is meant so, :- table {key} as opaque"
+        f"incremental{dynamic_advice}; if this is intended, write :- table {key} as opaque"
     )
 
 

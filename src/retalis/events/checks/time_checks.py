@@ -12,7 +12,6 @@ from typing import Any, Dict, Iterator, List, NamedTuple, Optional, Set, Tuple
 
 from ...foundation.errors import Place, RuleError
 from ...foundation.ros_name_checks import strip_slashes
-from ...messages.type_definition import functor_name
 from ...prolog.terms.term_traversal import copy, term_key, variables
 from ...prolog.terms.types import Atom, Functor, Term, Trail, Var, atom, deref, functor
 from ...prolog.terms.unification import undo, unify
@@ -23,8 +22,10 @@ from ..language.pattern_tree import (
     AggregatePattern,
     ConditionPattern,
     EventPattern,
+    InstantPattern,
     KleenePattern,
     NotPattern,
+    NotPrecededPattern,
     OrPattern,
     PairPattern,
     Pattern,
@@ -102,7 +103,9 @@ def _events_sufficient_for(pattern: Pattern) -> Iterator[Term]:
     elif isinstance(pattern, OrPattern):
         for branch in pattern.branches:
             yield from _events_sufficient_for(branch)
-    elif isinstance(pattern, WithinPattern) or (isinstance(pattern, ActionPattern) and not pattern.every):
+    elif isinstance(pattern, (WithinPattern, InstantPattern)) or (
+        isinstance(pattern, ActionPattern) and not pattern.every
+    ):
         yield from _events_sufficient_for(pattern.pattern)
 
 
@@ -383,6 +386,8 @@ _SPANS = {
     **dict.fromkeys(_TIMED_OPERATORS, _SpanNotation(1, ("with",))),
     **dict.fromkeys(("last", "every", "first"), _SpanNotation(1, ("aggregate", "last", "running", "timer"))),
     "after": _SpanNotation(1, ("timer",)),
+    "session": _SpanNotation(1, ("aggregate",)),
+    "max": _SpanNotation(1, ("session",)),
 }
 """Names of terms with a span in seconds."""
 
@@ -482,13 +487,13 @@ def _periods_by_message(program: ProgramModel) -> Dict[Functor, _RecordedPeriod]
     """Return the topics of bags by the events of their messages; of several topics with one event, the fastest."""
     recorded = {strip_slashes(topic.topic): topic.period for topic in program.recorded_topics}
     periods: Dict[Functor, _RecordedPeriod] = {}
-    for topic, type_name in program.topics.subscribed:
-        definition = program.definition(type_name)
-        seconds = recorded.get(strip_slashes(topic))
+    for topic in program.topics.subscribed:
+        definition = program.definition(topic.type)
+        seconds = recorded.get(strip_slashes(topic.topic))
         if definition is not None and seconds is not None:
-            key = functor(program.event_name_of(topic) or functor_name(type_name), len(definition.fields))
+            key = functor(program.topics.functor_name_of(topic), len(definition.fields))
             if key not in periods or seconds < periods[key].seconds:
-                periods[key] = _RecordedPeriod(topic, seconds)
+                periods[key] = _RecordedPeriod(topic.topic, seconds)
     return periods
 
 
@@ -603,15 +608,17 @@ def _operators_without_bound(pattern: Pattern) -> Iterator[Pattern]:
     stack: List[Tuple[Any, bool]] = [(pattern, False)]
     while stack:
         node, is_bounded = stack.pop()
-        if isinstance(node, (WindowPattern, RatePattern, AbsencePattern)):
+        if isinstance(node, (WindowPattern, RatePattern, AbsencePattern, NotPrecededPattern)):
             if not is_bounded:
                 yield node
             # A bound above other operators limits their inputs as well; above a stream operator, only its outputs.
             is_bounded = False
         elif isinstance(node, WithinPattern):
             is_bounded = True
+        elif isinstance(node, InstantPattern):
+            is_bounded = False
         stack += [(child, is_bounded) for child in reversed(children(node, False))]
-        if isinstance(node, (NotPattern, AbsencePattern)):
+        if isinstance(node, (NotPattern, AbsencePattern, NotPrecededPattern)):
             stack.append((node.negated, False))
 
 
@@ -692,6 +699,8 @@ def _unbounded_join(pattern: Pattern) -> Optional[Pattern]:
     while stack:
         node = stack.pop()
         if isinstance(node, WithinPattern):
+            # A bound above an instant does not limit the matches below it.
+            stack += [part.pattern for part in walk(node) if isinstance(part, InstantPattern)]
             continue
         # These store partial matches; alternatives and conditions store nothing.
         if isinstance(node, (PairPattern, KleenePattern, AggregatePattern, RepeatedPattern)):

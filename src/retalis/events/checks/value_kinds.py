@@ -11,11 +11,17 @@ from typing import Callable, Dict, NamedTuple, Optional
 from ...foundation.errors import Place
 from ...messages.type_definition import Field
 from ...prolog.machine.arithmetic import EVALUABLE
+from ...prolog.syntax.literals import atom_text
 from ...prolog.terms.types import CONS, FALSE, NIL, TRUE, Atom, String, Term, deref
 from ..language.event_declarations import ValueType, slot_value_type
 
 TEXT, BOOL, NUMBER, STAMP, LIST = "text", "bool", "number", "stamp", "list"
 ATOM, WORD, STRING, COMPOUND = "atom", "word", "string", "compound"
+PLAIN_TEXT = "plain_text"
+"""Kind of a string of a message in the plain form: any atom without double quotes inside.
+
+An atom with them is a `TEXT`: a program that has one probably means the other form.
+"""
 MAX_KINDS = 6
 """Maximum number of kinds of one variable; values of more kinds are taken for unknown."""
 
@@ -39,6 +45,7 @@ Kinds = Optional[Dict[str, ValueOrigin]]
 
 DESCRIPTIONS = {
     TEXT: "a text",
+    PLAIN_TEXT: "a plain text",
     BOOL: "true or false",
     NUMBER: "a number",
     STAMP: "a stamp [Sec,NSec]",
@@ -53,7 +60,10 @@ DESCRIPTIONS = {
 _OVERLAPPING = {
     # ``nan``, ``inf``, ``pi`` and the like are atoms, and numbers for slots and arithmetic.
     NUMBER: frozenset((NUMBER, WORD)),
-    WORD: frozenset((WORD, NUMBER)),
+    WORD: frozenset((WORD, NUMBER, PLAIN_TEXT)),
+    ATOM: frozenset((ATOM, PLAIN_TEXT)),
+    BOOL: frozenset((BOOL, PLAIN_TEXT)),
+    PLAIN_TEXT: frozenset((PLAIN_TEXT, ATOM, WORD, BOOL)),
     STAMP: frozenset((STAMP, LIST)),
     LIST: frozenset((LIST, STAMP)),
 }
@@ -111,7 +121,7 @@ def kinds_of_slot(slot: Field, origin: str) -> Kinds:
 
 def kinds_of_type(value_type: ValueType, origin: str) -> Kinds:
     """Return the kinds of the values of a declared type."""
-    kinds = {kind: ValueOrigin(origin) for form in value_type.forms for kind in _KINDS_OF_FORMS[form]}
+    kinds = {kind: ValueOrigin(origin) for form in sorted(value_type.forms) for kind in _KINDS_OF_FORMS[form]}
     return kinds if len(kinds) <= MAX_KINDS else None
 
 
@@ -181,6 +191,8 @@ def advise(kinds: Dict[str, ValueOrigin], constant: Term, show: Callable[[Term],
         bare = str(value)
     if TEXT in kinds and bare and value.__class__ is not tuple:
         return f"a text keeps its quotes in events, write '\"{bare}\"'"
+    if PLAIN_TEXT in kinds and bare and value.__class__ is not tuple:
+        return f"write {atom_text(bare)}"
     if BOOL in kinds and ATOM not in kinds:
         return "write true or false"
     if NUMBER in kinds and is_numeral(bare):
@@ -195,6 +207,9 @@ def advise(kinds: Dict[str, ValueOrigin], constant: Term, show: Callable[[Term],
 
 def advise_conversion(first: Kinds, second: Kinds, name: str) -> str:
     """Return what to do for a variable with values of two sets that are never equal, or ""."""
+    quoted = find_quoted_text(first, second)
+    if quoted is not None:
+        return advise_plain_text(quoted)
     for kinds, others in ((first, second), (second, first)):
         if not kinds or not others or TEXT not in kinds:
             continue
@@ -206,14 +221,30 @@ def advise_conversion(first: Kinds, second: Kinds, name: str) -> str:
         content_goal = f"sub_atom({name if name[:1].isupper() else 'X'}, 1, _, 1, Atom)"
         if NUMBER in others:
             return f"for the number in a text write {content_goal}, atom_number(Atom, Number)"
-        if ATOM in others:
+        if ATOM in others or PLAIN_TEXT in others:
             return f"for the atom in a text write {content_goal}"
     return ""
 
 
-def conversion_to_text(name: str) -> str:
-    """Return the advice to make a text of a variable."""
-    return f"make a text of it, as with format(atom(Text), '\"~w\"', [{name if name[:1].isupper() else 'X'}])"
+def find_quoted_text(first: Kinds, second: Kinds) -> Optional[ValueOrigin]:
+    """Return the constant with double quotes inside among values that meet plain texts only, or None."""
+    for kinds, others in ((first, second), (second, first)):
+        if kinds and others and PLAIN_TEXT in others and TEXT not in others and TEXT in kinds:
+            return kinds[TEXT] if kinds[TEXT].constant is not None else None
+    return None
+
+
+def advise_plain_text(quoted: ValueOrigin) -> str:
+    """Return what to write instead of a constant with double quotes inside, in a program with plain strings."""
+    constant = quoted.constant
+    content = constant.text if isinstance(constant, String) else getattr(constant, "name", "")
+    return f"write {atom_text(content.strip(chr(34)))}"
+
+
+def conversion_to_text(name: str, has_quotes: bool = True) -> str:
+    """Return the advice to make a text of a variable, with or without double quotes inside."""
+    directive = '"~w"' if has_quotes else "~w"
+    return f"make a text of it, as with format(atom(Text), '{directive}', [{name if name[:1].isupper() else 'X'}])"
 
 
 def is_numeral(text: str) -> bool:

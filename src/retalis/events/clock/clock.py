@@ -511,6 +511,31 @@ class StreamClock(Clock):
         """
         self._heading = instant
 
+    def fire_alarms(
+        self, limit: int, run_due: Callable[[], object], must_stop: Callable[[], bool] = lambda: False
+    ) -> None:
+        """Move the stream's time to each alarm up to a limit, so that it fires at its own time.
+
+        >>> clock = StreamClock()
+        >>> clock.call_at(1_000_000_000, lambda instant: print(instant))
+        >>> engine = Engine(clock)
+        >>> clock.fire_alarms(2_000_000_000, engine.advance)
+        1000000000
+        >>> clock.reached()
+        1000000000
+
+        Args:
+            limit: time in nanoseconds to which the clock is going to be moved.
+            run_due: runs the alarms that are due, as `Engine.advance` does.
+            must_stop: returns whether later alarms have to wait; called after each alarm.
+        """
+        self.head_for(limit)
+        alarm = self.next_alarm()
+        while alarm is not None and alarm <= limit and not must_stop():
+            self.move_to(alarm)
+            run_due()
+            alarm = self.next_alarm()
+
     def _due_by(self, instant: int) -> int:
         # The stream's time, also if the clock is pinned.
         return self._time

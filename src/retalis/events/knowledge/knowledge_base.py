@@ -41,7 +41,11 @@ DELETE_MEMORY = functor("delete_memory", 1)
 MEMORY_EVENTS = frozenset((CREATED, UPDATED, DELETED))
 """Events about memories."""
 
-OWN_EVENTS = MEMORY_EVENTS | {TIMEOUT_EVENT}
+SERVICE_CALL = functor("service_call", 3)
+SERVICE_REPLY = functor("service_reply", 3)
+SERVICE_FAILED = functor("service_failed", 3)
+
+OWN_EVENTS = MEMORY_EVENTS | {TIMEOUT_EVENT, SERVICE_CALL, SERVICE_REPLY, SERVICE_FAILED}
 """All events that the package makes by itself, without a rule, goal or topic."""
 
 

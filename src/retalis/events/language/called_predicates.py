@@ -145,13 +145,14 @@ def undefined_call_warnings(
     logic: PrologSystem, predicate_calls: List[PredicateCall], terms: Callable[[], List[Term]]
 ) -> Iterator[UndefinedPredicate]:
     """Yield a warning for each called predicate that is undefined and that no goal in ``terms`` can define."""
-    missing = [call for call in predicate_calls if call.key is not _CUT and not _is_defined(logic, call)]
+    missing = [call for call in predicate_calls if call.key is not _CUT and not is_defined(logic, call)]
     if not missing:
         return
     # The search through all terms of the program is slow, so it happens only if a predicate is undefined.
     defined_later = _dynamic_predicates(terms())
     hints_left = _MAX_HINTS
-    for key, place, caller, advice, module in missing:
+    for call in missing:
+        key, place, caller, advice, module = call
         if key not in defined_later and _UNKNOWN_PREDICATE not in defined_later:
             # Each predicate is reported once, at its first call.
             defined_later.add(key)
@@ -162,10 +163,11 @@ def undefined_call_warnings(
                 advice = logic.undefined_procedures.suggest(key) or definition
             hint = f"; {advice}" if advice else ""
             prefix = f"{caller}: " if caller else ""
-            yield UndefinedPredicate(f"{prefix}there is no predicate {key} yet{hint}", place)
+            yield UndefinedPredicate(f"{prefix}there is no predicate {key} yet{hint}", place, call)
 
 
-def _is_defined(logic: PrologSystem, call: PredicateCall) -> bool:
+def is_defined(logic: PrologSystem, call: PredicateCall) -> bool:
+    """Return whether the predicate of a call is defined."""
     modules = logic.database.modules
     module = None if call.module is None else modules.find_module(call.module)
     return logic.defines(call.key if module is None else modules.resolve(module, call.key))

@@ -127,6 +127,12 @@ class ValueType(NamedTuple):
     items: "Optional[ValueType]" = None
     message_name: str = ""
 
+    @property
+    def name(self) -> str:
+        """Name of the type; ``list`` also for a list whose item type is declared."""
+        term: Any = self.term
+        return str(term[0].name if term.__class__ is tuple else term.name)
+
     def excludes(self, other: "ValueType") -> bool:
         """Return whether no value has both types."""
         # Two messages of different types never unify, although both are compound terms.
@@ -169,6 +175,7 @@ VALUE_TYPES = _create_value_types(
 SLOT_TYPES = _create_value_types(
     ("list", "a list", "nil cons"),
     ("text", "a text", "quoted"),
+    ("plain_text", "a plain text", "atom word"),
     ("stamp", "a stamp [Sec,NSec]", "stamp"),
     ("bool", "true or false", "atom"),
     ("number", "a number", "integer float word"),
@@ -183,7 +190,7 @@ def slot_value_type(slot: Field) -> Optional[ValueType]:
     if slot.length is not None and not slot.is_bytes:
         return SLOT_TYPES["list"]
     if slot.type == "string" or slot.is_bytes:
-        return SLOT_TYPES["text"]
+        return SLOT_TYPES["plain_text" if slot.is_plain else "text"]
     if slot.definition is not None:
         return None
     if slot.type in ("time", "duration"):

@@ -35,6 +35,8 @@ class OperatorKind(Enum):
     WINDOW = "a pattern whose matches in a window are measured together"
     RATE = "a pattern, and which of its matches go on"
     TIMEOUT = "a pattern that must not happen for some time"
+    ABSENCE_BEFORE = "a pattern that must not have happened shortly before"
+    INSTANT = "a pattern, of whose matches only one instant counts"
 
 
 class PatternTableRow(NamedTuple):
@@ -49,6 +51,21 @@ class PatternTableRow(NamedTuple):
     notation: str
     matched: str
     interval: str
+
+
+class PatternReading(NamedTuple):
+    """The words of a notation in readings of rules.
+
+    The words contain the variables of the notation, which are replaced by the operands; ``N seconds`` by a duration.
+    ``R is K`` is replaced by the results and the words of their aggregates, a list S of steps by a line for each.
+
+    Attributes:
+        notation: the notation of the pattern.
+        words: the words, beginning with the condition under which the pattern matches.
+    """
+
+    notation: str
+    words: str
 
 
 class EventOperator(NamedTuple):
@@ -80,6 +97,8 @@ class EventOperator(NamedTuple):
         confused_words: words that are no operators, but are often used in place of this one.
         advice: what to write in place of these words.
         table_rows: rows of the table of patterns.
+        readings: words for readings of rules, for notations that are not in ``table_rows``, or whose words there
+            refer to another row. `PatternReading` describes the words.
     """
 
     name: str
@@ -106,6 +125,7 @@ class EventOperator(NamedTuple):
     confused_words: Tuple[str, ...] = ()
     advice: str = ""
     table_rows: Tuple[PatternTableRow, ...] = ()
+    readings: Tuple[PatternReading, ...] = ()
 
     @property
     def canonical_name(self) -> str:
@@ -133,9 +153,23 @@ class EventOperator(NamedTuple):
 
 _GOAL = (True, False)
 
+
+def _interval_condition_reading(name: str) -> PatternReading:
+    return PatternReading(
+        f"P {name} G", "P happened, and goal G, in which t1 and t2 are its interval, has a solution"
+    )
+
+
 EVENT_OPERATORS: Tuple[EventOperator, ...] = (
     EventOperator("rule:", OperatorKind.RULE, 1200, "xfy", (False, True), functors=("rule:",)),
-    EventOperator("<-", OperatorKind.RULE, 1200, "xfy", (False, True)),
+    EventOperator(
+        "<-",
+        OperatorKind.RULE,
+        1200,
+        "xfy",
+        (False, True),
+        readings=(PatternReading("S <- Q", "Q happened, which emits S"),),
+    ),
     EventOperator(
         "iff", OperatorKind.RULE, 1200, "xfy", (False, True), functors=("iff", "IFF"), alias_of="<-"
     ),
@@ -163,6 +197,32 @@ EVENT_OPERATORS: Tuple[EventOperator, ...] = (
             ),
             PatternTableRow(
                 "`P with change(X)`", "P happened, and X differs from the X of the previous P", "that of P"
+            ),
+            PatternTableRow(
+                "`P with change_after_first(X)`",
+                "P happened, and the previous P had another X",
+                "that of P",
+            ),
+            PatternTableRow(
+                "`P with not_preceded(Q,N)`",
+                "P happened, and no Q ended in the N seconds before P started",
+                "that of P",
+            ),
+        ),
+        readings=(
+            PatternReading("P with throttle(N, K)", "P happened, at most once in N seconds for each K"),
+            PatternReading(
+                "P with burst(N, K)", "P happened, and no other P with this K ended in the N seconds before"
+            ),
+            PatternReading(
+                "P with debounce(N, K)", "P happened, and no other P with this K for N seconds after it"
+            ),
+            PatternReading(
+                "P with change(X, K)", "P happened, and X differs from the X of the previous P with this K"
+            ),
+            PatternReading(
+                "P with change_after_first(X, K)",
+                "P happened, and the previous P with this K had another X",
             ),
         ),
     ),
@@ -201,8 +261,16 @@ EVENT_OPERATORS: Tuple[EventOperator, ...] = (
                 "`P check G`, `P timestamp G`", "as `where`, with `t1(S)` and `t2(E)` inside G", "that of P"
             ),
         ),
+        readings=(_interval_condition_reading("check"),),
     ),
-    EventOperator("timestamp", OperatorKind.CONDITION, 1050, patterns=_GOAL, has_interval_predicates=True),
+    EventOperator(
+        "timestamp",
+        OperatorKind.CONDITION,
+        1050,
+        patterns=_GOAL,
+        has_interval_predicates=True,
+        readings=(_interval_condition_reading("timestamp"),),
+    ),
     EventOperator(
         "event_multiply",
         OperatorKind.ACTION,
@@ -259,6 +327,19 @@ EVENT_OPERATORS: Tuple[EventOperator, ...] = (
         ),
     ),
     EventOperator("fnot", OperatorKind.ABSENCE, 1031, allows_event_name=False, allows_fact_name=False),
+    EventOperator(
+        "without",
+        OperatorKind.ABSENCE,
+        1031,
+        allows_event_name=False,
+        allows_fact_name=False,
+        table_rows=(
+            PatternTableRow(
+                "`P without R`", "P happened, and no R overlaps it: no sR < e1 with s1 < eR", "that of P"
+            ),
+        ),
+        readings=(PatternReading("P without R", "P happened, and no R overlaps it"),),
+    ),
     EventOperator("not", OperatorKind.UNSUPPORTED, 1031),
     EventOperator(
         "seq",
@@ -276,6 +357,11 @@ EVENT_OPERATORS: Tuple[EventOperator, ...] = (
         confused_words=("before", "after", "then", "followed_by"),
         advice='to say that one event ends before another starts, write "seq", the earlier one first',
         table_rows=(PatternTableRow("`P seq Q`", "P ended before Q started: e1 < s2", "[s1,e2]"),),
+        readings=tuple(
+            PatternReading(notation.format(name), "P happened, and goal G has a solution")
+            for name in ("prolog", "query", "db")
+            for notation in ("P seq {}(G)", "{}(G) seq P")
+        ),
     ),
     EventOperator(
         "forall_seq",
@@ -291,6 +377,7 @@ EVENT_OPERATORS: Tuple[EventOperator, ...] = (
         joins_all_left=True,
         no_match_text="none of the first ended before one of the second started",
         table_rows=(PatternTableRow("`P forall_seq Q`", "as `seq`, once for each waiting P", "[s1,e2]"),),
+        readings=(PatternReading("P forall_seq Q", "P ended before Q started, once for each waiting P"),),
     ),
     EventOperator(
         "equals",
@@ -389,6 +476,9 @@ EVENT_OPERATORS: Tuple[EventOperator, ...] = (
                 "[s1, end of the last Q]",
             ),
         ),
+        readings=(
+            PatternReading("P seq aggregate(K,Q,R)", "P happened, and again at each later Q; R is K since P"),
+        ),
     ),
     EventOperator(
         "aggregate_over",
@@ -403,6 +493,47 @@ EVENT_OPERATORS: Tuple[EventOperator, ...] = (
                 "that of these Q, or of W",
             ),
         ),
+        readings=(
+            PatternReading("aggregate(K,Q,R,last(N))", "Q happened; R is K in the last N seconds"),
+            PatternReading("aggregate(K,Q,R,last(N,events))", "Q happened; R is K in the last N of them"),
+            PatternReading(
+                "aggregate(K,Q,R,every(N))",
+                "Q happened in a period of N seconds, counted from 1970, that has ended; R is K in this period",
+            ),
+            PatternReading(
+                "aggregate(K,Q,R,every(N,first))",
+                "N seconds have passed since a first Q; R is K in this time",
+            ),
+            PatternReading(
+                "aggregate(K,Q,R,every(N,events))",
+                "Q happened N times; R is K in them, and a new count begins",
+            ),
+            PatternReading(
+                "aggregate(K,Q,R,last(N,every(M)))",
+                "Q happened, each M seconds; R is K in the last N seconds",
+            ),
+            PatternReading(
+                "aggregate(K,Q,R,running(every(N)))",
+                "Q happened; R is K so far in the current period of N seconds, counted from 1970",
+            ),
+            PatternReading(
+                "aggregate(K,Q,R,running(every(N,first)))",
+                "Q happened; R is K so far in the N seconds that a first Q has begun",
+            ),
+            PatternReading(
+                "aggregate(K,Q,R,running(every(N,events)))",
+                "Q happened; R is K so far in the current group of N of them",
+            ),
+            PatternReading(
+                "aggregate(K,Q,R,session(N))",
+                "no Q has happened for N seconds; R is K in the Q since the last such pause",
+            ),
+            PatternReading(
+                "aggregate(K,Q,R,session(N,max(M)))",
+                "no Q has happened for N seconds, or M seconds have passed since the first of them; R is K in them",
+            ),
+            PatternReading("aggregate(K,Q,R,steps(S))", "Q happened by these steps; R is K in them"),
+        ),
     ),
     EventOperator(
         "absent",
@@ -414,6 +545,42 @@ EVENT_OPERATORS: Tuple[EventOperator, ...] = (
                 "`P seq absent(Q,N)`", "N seconds have passed since P ended, with no Q between", "[s1,e1+N]"
             ),
         ),
+    ),
+    EventOperator(
+        "not_preceded",
+        OperatorKind.ABSENCE_BEFORE,
+        patterns=(True, False),
+        functors=("not_preceded",),
+        allows_event_name=False,
+        allows_fact_name=False,
+        notation="not_preceded(Pattern, Seconds)",
+        readings=(
+            PatternReading(
+                "P with not_preceded(Q, N)", "P happened, and no Q ended in the N seconds before P started"
+            ),
+        ),
+    ),
+    EventOperator(
+        "at_end",
+        OperatorKind.INSTANT,
+        patterns=(True,),
+        functors=("at_end",),
+        allows_event_name=False,
+        allows_fact_name=False,
+        notation="at_end(Pattern)",
+        table_rows=(PatternTableRow("`at_end(P)`", "P happened", "[e,e], the instant of its end"),),
+        readings=(PatternReading("at_end(P)", "P happened, taken as the instant of its end"),),
+    ),
+    EventOperator(
+        "at_start",
+        OperatorKind.INSTANT,
+        patterns=(True,),
+        functors=("at_start",),
+        allows_event_name=False,
+        allows_fact_name=False,
+        notation="at_start(Pattern)",
+        table_rows=(PatternTableRow("`at_start(P)`", "P happened", "[s,s], the instant of its start"),),
+        readings=(PatternReading("at_start(P)", "P happened, taken as the instant of its start"),),
     ),
 )
 """All event operators, the highest priority first, as ``current_op/3`` lists them."""
@@ -431,7 +598,7 @@ _RUN_OPERATOR_KINDS = (OperatorKind.RUN, OperatorKind.AGGREGATE, OperatorKind.TI
 OPERATOR_NAMES: Dict[Functor, str] = {
     key: operator.name
     for operator in EVENT_OPERATORS
-    if operator.kind not in (OperatorKind.RULE, *_RUN_OPERATOR_KINDS)
+    if operator.kind not in (OperatorKind.RULE, OperatorKind.ABSENCE_BEFORE, *_RUN_OPERATOR_KINDS)
     for key in operator.keys
 }
 """Names of the operators that terms denote within a pattern, by the functors of the terms."""

@@ -9,7 +9,7 @@ and constructs the rule that covers all gaps.
 """
 
 from difflib import SequenceMatcher
-from typing import Any, Callable, Dict, List, Mapping, Optional, Tuple
+from typing import Any, Callable, Dict, List, Mapping, Optional
 
 from ...foundation.errors import shorten
 from ...prolog.syntax.term_writer import write_term
@@ -27,6 +27,7 @@ from .event_operators import (
     OperatorKind,
     names_of_kind,
 )
+from .pattern_tree import NegationScope
 
 _COMPARISONS = [
     "=",
@@ -210,10 +211,8 @@ def uncovered_gap_warning(
         names: names of variables.
     """
     operator = OPERATOR_NAMES[term[0]]
-    outer_conditions: List[Tuple[str, Term]] = []
     sequence: Any = deref(term[1])
     while sequence.__class__ is tuple and _is_condition(sequence):
-        outer_conditions.append((OPERATOR_NAMES[sequence[0]], sequence[2]))
         sequence = deref(sequence[1])
     # Parentheses leave no trace in the term, only in the places of its parts; a rule that was built by a goal has
     # none, so it gets no warning.
@@ -226,25 +225,14 @@ def uncovered_gap_warning(
     negated = _format_pattern(term[2], names)
     last_text = _format_pattern(parts[-1], names)
     gap = f"the gap before the last part of the sequence, {shorten(last_text)}"
-    message = f"{operator} covers only {gap}: {shorten(negated)} in an earlier gap does not prevent a match"
-    is_long = any(len(text) > _MAX_SHOWN_CHARACTERS for text in (*texts, last_text, negated))
-    # If the absent pattern uses variables of later parts, it cannot be checked in the first gap: no rule covers all
-    # gaps.
-    if is_long or _depends_on_later_parts(deref(term[2]), parts):
-        return f"{message}; write a {operator} for each gap that it must not lie in"
-    covering_text = f"({texts[0]} seq {texts[1]}) {operator} {negated}"
-    for text in texts[2:]:
-        covering_text = f"(({covering_text}) seq {text}) {operator} {negated}"
-    if outer_conditions and len(parts) <= _MAX_SHOWN_PARTS:
-        inner_text = covering_text[: -len(f" {operator} {negated}")]
-        for name, argument in reversed(outer_conditions):
-            inner_text = f"({inner_text} {name} {_format_pattern(argument, names)})"
-        covering_text = f"{inner_text} {operator} {negated}"
-    if len(parts) > _MAX_SHOWN_PARTS:
-        covering_text += f" and so on up to the last of {len(parts)} parts"
-    advice = f"{message}; for none in any gap write {covering_text}"
+    message = (
+        f"{operator} covers only {gap}: {shorten(negated)} in an earlier gap does not prevent a match; "
+        f"for none during the whole sequence write {NegationScope.OVERLAP.value} in place of {operator}"
+    )
+    if any(len(text) > _MAX_SHOWN_CHARACTERS for text in (*texts, last_text, negated)):
+        return message
     grouped_text = _format_grouped_before_last(sequence, parts, names)
-    return f"{advice}; if only the last gap is meant, write {grouped_text} {operator} {negated}"
+    return f"{message}; if only the last gap is meant, write {grouped_text} {operator} {negated}"
 
 
 def _is_condition(term: CompoundTerm) -> bool:
@@ -285,13 +273,6 @@ def _parts_without_parentheses(sequence: CompoundTerm, place_of: Callable[..., A
 def _is_goal_or_run(term: Any) -> bool:
     """Return whether the right operand of a sequence has no gap before it: a goal, or repetitions."""
     return term.__class__ is tuple and (term[0] in RUN_OPERATORS or term[0].name in ("prolog", "query", "db"))
-
-
-def _depends_on_later_parts(negated: Term, parts: List[Term]) -> bool:
-    """Return whether an absent pattern has variables that are bound after the first gap."""
-    early_vars = {*variables(parts[0]), *variables(parts[1])}
-    later_vars = {var for part in parts[2:] for var in variables(part)} - early_vars
-    return not later_vars.isdisjoint(variables(negated))
 
 
 def _format_grouped_before_last(sequence: CompoundTerm, parts: List[Term], names: Mapping[Var, str]) -> str:

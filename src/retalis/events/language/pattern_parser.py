@@ -9,10 +9,11 @@ or condition gets a warning (see `likely_mistakes`). `check_aggregate` and `chec
 read, because they need all occurrences of its variables.
 """
 
-from typing import Any, Callable, Dict, FrozenSet, List, Mapping, NamedTuple, Optional, Tuple
+from typing import Any, Callable, Dict, FrozenSet, List, Mapping, NamedTuple, Optional, Tuple, Union
 
 from ...foundation.errors import Place, RuleError
 from ...prolog.machine.arithmetic import EVALUABLE
+from ...prolog.terms.list_terms import list_items
 from ...prolog.terms.term_traversal import variables
 from ...prolog.terms.timestamps import from_seconds
 from ...prolog.terms.types import (
@@ -25,9 +26,8 @@ from ...prolog.terms.types import (
     Var,
     deref,
     functor,
-    functor_name,
 )
-from ..streams.aggregates import AGGREGATES, sequence_aggregates
+from ..streams.aggregates import AGGREGATES
 from .called_predicates import Subgoal, calls, required_interval_calls
 from .event_operators import (
     ARROWS,
@@ -40,6 +40,7 @@ from .event_operators import (
 )
 from .likely_mistakes import bracket_advice, event_warning
 from .pattern_tree import (
+    AT_END,
     MAX_COMPOSED_REPETITIONS,
     MAX_REPETITIONS,
     SEQ,
@@ -48,7 +49,9 @@ from .pattern_tree import (
     AggregatePattern,
     ConditionPattern,
     EventPattern,
+    InstantPattern,
     KleenePattern,
+    NegationScope,
     NotPattern,
     OrPattern,
     PairPattern,
@@ -60,7 +63,16 @@ from .pattern_tree import (
     occurrences,
     substitute_variables,
 )
-from .stream_parser import is_event, parse_rate_operator, parse_window, regroup_rate_operator
+from .stream_parser import (
+    NOT_PRECEDED,
+    is_computed_timeout,
+    is_event,
+    parse_measure,
+    parse_not_preceded,
+    parse_rate_operator,
+    parse_window,
+    regroup_rate_operator,
+)
 
 PlaceLookup = Callable[..., Optional[Place]]
 """Takes a compound term, and optionally the position of an argument; returns the place of its functor or argument."""
@@ -73,7 +85,6 @@ def no_place(part: Term, position: int = 0) -> Optional[Place]:
 
 _GOAL_OPERANDS = frozenset((functor("prolog", 1), functor("query", 1), functor("db", 1)))
 _ABSENCE_OPERATORS = " or ".join(names_of_kind(OperatorKind.ABSENCE))
-_ABSENCE_BEFORE_OPERATORS = " or ".join(names_of_kind(OperatorKind.ABSENCE, may_lie_between=False))
 _ABSENT = "absent"
 
 
@@ -136,6 +147,8 @@ class PatternReader:
         # Programs older than an operator may use its name for events; `is_event` distinguishes them by the arguments.
         if name is None or is_event(term):
             run = None if is_event(term) else RUN_OPERATORS.get(head)
+            if head is NOT_PRECEDED:
+                raise self.create_error(f"{head.name} can only be the right side of a with", term)
             if run is None:
                 return self._read_event(parent, position)
             subject = run.name if run.kind is OperatorKind.RUN else f"an {run.name}"
@@ -206,17 +219,20 @@ class PatternReader:
         if left_goal is not None:
             return ConditionPattern(self.read(term, 2), left_goal, False)
         first = self.read(term, 1)
-        if right.__class__ is tuple and right[0] in RUN_OPERATORS and not is_event(right):
+        if (
+            right.__class__ is tuple
+            and right[0] in RUN_OPERATORS
+            and (not is_event(right) or is_computed_timeout(right))
+        ):
             run = RUN_OPERATORS[right[0]]
             if run.kind is OperatorKind.AGGREGATE:
                 return self._parse_aggregate(first, right, run)
             if run.kind is OperatorKind.TIMEOUT:
-                return AbsencePattern(
-                    first, self.read_operand(right, 1, run.name), self.read_span(run.name, right)
-                )
+                negated = self.read_operand(right, 1, run.name)
+                return AbsencePattern(first, negated, self._read_timeout(run.name, right, first))
             return KleenePattern(first, self.read_operand(right, 1, run.name))
         if right.__class__ is tuple and right[0].name == _ABSENT:
-            notation = f"{_ABSENT}(Pattern, Seconds) has two arguments, the second a number"
+            notation = f"{_ABSENT}(Pattern, Seconds) has two arguments, the second a number or a variable"
             self._warn(self.create_error(f"this is an ordinary event; {notation}", right))
         return PairPattern(SEQ, first, self.read(term, 2))
 
@@ -228,18 +244,16 @@ class PatternReader:
     def _parse_aggregate(
         self, first: Pattern, term: CompoundTerm, operator: EventOperator
     ) -> AggregatePattern:
-        function_term = deref(term[1])
-        name = functor_name(function_term)
-        arity = len(function_term) - 1 if function_term.__class__ is tuple else 0
-        functions = sequence_aggregates()
-        if name not in functions or functions[name].arity != arity:
-            forms = ", ".join(function.notation for function in functions.values())
+        measure_term = deref(term[1])
+        if list_items(measure_term) is not None:
             raise self.create_error(
-                f"there is no such aggregate; the aggregates are {forms}", function_term if arity else term
+                "an aggregate after seq has one kind; a list of kinds needs a window", term, 1
             )
+        measure = parse_measure(self, measure_term, term)
         collected = self.read_operand(term, 2, operator.name)
-        value = deref(function_term[1]) if function_term.__class__ is tuple else None
-        aggregate = AggregatePattern(first, name, value, collected, deref(term[3]))
+        aggregate = AggregatePattern(
+            first, measure.name, measure.setting, measure.value, collected, deref(term[3])
+        )
         self.aggregates.append((aggregate, term))
         return aggregate
 
@@ -266,23 +280,32 @@ class PatternReader:
         regrouped = regroup_rate_operator(term)
         if regrouped is not None:
             return self.read((term[0], regrouped), 1)
-        return parse_rate_operator(term, self.read_operand(term, 1, "with"), self.create_error)
+        not_preceded = parse_not_preceded(self, term)
+        if not_preceded is not None:
+            return not_preceded
+        notation = EVENT_OPERATORS_BY_NAME[NOT_PRECEDED.name].notation
+        return parse_rate_operator(term, self.read_operand(term, 1, "with"), self.create_error, (notation,))
 
     def _parse_absence(self, name: str, term: CompoundTerm) -> NotPattern:
         pattern = self.read_operand(term, 1, name)
         negated = self.read_operand(term, 2, name)
-        is_between = EVENT_OPERATORS_BY_NAME[name].may_lie_between
-        inside = is_between and _is_sequence(pattern)
-        if is_between and not inside:
-            message = (
-                f"P {name} R where P is not a sequence means that no R ended before P started "
-                f"(write {_ABSENCE_BEFORE_OPERATORS}); "
-                f"for no R between two events write (P {SEQ} Q) {name} R"
-            )
-            self._warn(self.create_error(message, term))
-        if inside:
+        scope = NegationScope(name)
+        if scope is not NegationScope.BETWEEN:
+            return NotPattern(pattern, negated, scope)
+        if _is_sequence(pattern):
             self.absences.append(term)
-        return NotPattern(pattern, negated, inside)
+            return NotPattern(pattern, negated, scope)
+        message = (
+            f"P {name} R where P is not a sequence means that no R ended before P started "
+            f"(write {NegationScope.BEFORE.value}); "
+            f"for no R during P write P {NegationScope.OVERLAP.value} R; "
+            f"for no R between two events write (P {SEQ} Q) {name} R"
+        )
+        self._warn(self.create_error(message, term))
+        return NotPattern(pattern, negated, NegationScope.BEFORE)
+
+    def _parse_instant(self, name: str, term: CompoundTerm) -> InstantPattern:
+        return InstantPattern(self.read_operand(term, 1, name), name == AT_END)
 
     def _parse_repetition(self, name: str, term: CompoundTerm) -> Pattern:
         times = deref(term[2])
@@ -322,6 +345,18 @@ class PatternReader:
             )
         return from_seconds(seconds)
 
+    def _read_timeout(self, name: str, term: CompoundTerm, first: Pattern) -> Union[int, Var]:
+        """Return the time of a timeout in nanoseconds, or the variable of ``first`` that is bound to the seconds."""
+        seconds = deref(term[2])
+        if seconds.__class__ is not Var:
+            return self.read_span(name, term)
+        if seconds not in bound_by(first):
+            message = (
+                f"{name} needs a positive number of seconds, or a variable that the pattern before it binds"
+            )
+            raise self.create_error(message, term, 2)
+        return seconds
+
     def read_goal(self, parent: CompoundTerm, position: int, operator: str) -> Term:
         """Return the goal in argument ``position`` of a term, and record its calls.
 
@@ -359,13 +394,16 @@ class PatternReader:
         OperatorKind.ACTION: _parse_action,
         OperatorKind.WINDOW: _parse_window,
         OperatorKind.RATE: _parse_rate_operator,
+        OperatorKind.INSTANT: _parse_instant,
     }
     """Parsing methods, by the kind of the operator."""
 
 
 def _is_sequence(pattern: Pattern) -> bool:
     """Return whether a pattern is a sequence, possibly inside conditions."""
-    while isinstance(pattern, (ConditionPattern, WithinPattern)):
+    while isinstance(pattern, (ConditionPattern, WithinPattern)) or (
+        isinstance(pattern, NotPattern) and pattern.scope is NegationScope.OVERLAP
+    ):
         pattern = pattern.pattern
     return isinstance(pattern, PairPattern) and pattern.operator == SEQ
 

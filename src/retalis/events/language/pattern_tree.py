@@ -5,6 +5,7 @@ immutable and independent of the network that is compiled from it. State files c
 tree.
 """
 
+from enum import Enum
 from types import MappingProxyType
 from typing import Any, Dict, FrozenSet, Hashable, List, Mapping, NamedTuple, Optional, Set, Tuple, Union
 
@@ -26,6 +27,8 @@ Pattern = Union[
     "WindowPattern",
     "RatePattern",
     "AbsencePattern",
+    "NotPrecededPattern",
+    "InstantPattern",
 ]
 
 
@@ -78,12 +81,23 @@ class OrPattern(NamedTuple):
     branches: "Tuple[Pattern, ...]"
 
 
+class NegationScope(Enum):
+    """Places where a negated pattern must not match; the values are the operators."""
+
+    BEFORE = "fnot"
+    BETWEEN = "cnot"
+    OVERLAP = "without"
+
+
 class NotPattern(NamedTuple):
-    """Pattern that matches if no match of another one lies inside a sequence (``inside``), or at any earlier time."""
+    """Pattern that matches if no match of another one lies in a scope.
+
+    The scope is any time before the match of the pattern, the gap of a sequence, or any overlap with the match.
+    """
 
     pattern: "Pattern"
     negated: "Pattern"
-    inside: bool
+    scope: NegationScope
 
 
 class KleenePattern(NamedTuple):
@@ -94,10 +108,20 @@ class KleenePattern(NamedTuple):
 
 
 class AggregatePattern(NamedTuple):
-    """Pattern that is followed by any number of repetitions of another one, which are aggregated into a result."""
+    """Pattern that is followed by any number of repetitions of another one, which are aggregated into a result.
+
+    Attributes:
+        first: the pattern.
+        kind: name of the aggregate function.
+        setting: the arguments of the function before the aggregated term: a number, names of predicates, or None.
+        value: the aggregated term; None if the function has none.
+        collected: the repeated pattern.
+        result: term of the result.
+    """
 
     first: "Pattern"
     kind: str
+    setting: Any
     value: Optional[Term]
     collected: "Pattern"
     result: Term
@@ -159,10 +183,13 @@ class WindowSpec(NamedTuple):
     Attributes:
         kind: ``last`` for a sliding window of ``span`` ns, ``newest`` for a sliding window of ``max_count`` matches,
             ``every`` for windows of ``span`` ns that start every ``step`` ns, ``first`` for windows that start with
-            a match, ``batch`` for tumbling windows of ``max_count`` matches, ``steps`` for row patterns.
+            a match, ``batch`` for tumbling windows of ``max_count`` matches, ``session`` for windows that end ``gap``
+            ns after their last match, ``steps`` for row patterns.
         span: length in ns.
         step: for ``every``, ns from one start to the next one.
         max_count: number of matches.
+        gap: for ``session``, ns without a match that end a window.
+        max_length: for ``session``, maximum length of a window in ns; None for no maximum.
         running: whether each match emits a result, not only the end of a window.
         steps: the steps of a row pattern.
         navigated_vars: the variables of the pattern that conditions of steps use.
@@ -172,9 +199,18 @@ class WindowSpec(NamedTuple):
     span: int = 0
     step: int = 0
     max_count: int = 0
+    gap: int = 0
+    max_length: Optional[int] = None
     running: bool = False
     steps: Tuple[RowPatternStep, ...] = ()
     navigated_vars: Tuple[Var, ...] = ()
+
+    @property
+    def max_duration(self) -> Optional[int]:
+        """Longest time in ns from the start of a window to its result; None for no bound."""
+        if self.kind == "session":
+            return None if self.max_length is None else self.max_length + self.gap
+        return self.span or None
 
     @property
     def goals(self) -> List[Term]:
@@ -225,11 +261,37 @@ class RatePattern(NamedTuple):
 
 
 class AbsencePattern(NamedTuple):
-    """Pattern that matches if no match of another one lies within ``span`` ns after it."""
+    """Pattern that matches if no match of another one lies within ``span`` ns after it.
+
+    Attributes:
+        pattern: the pattern.
+        negated: the other pattern.
+        span: the time in ns, or a variable that a match of the pattern binds to the time in seconds.
+    """
+
+    pattern: "Pattern"
+    negated: "Pattern"
+    span: Union[int, Var]
+
+
+class NotPrecededPattern(NamedTuple):
+    """Pattern that matches if no match of another one has ended within ``span`` ns before its start."""
 
     pattern: "Pattern"
     negated: "Pattern"
     span: int
+
+
+class InstantPattern(NamedTuple):
+    """Pattern whose matches are reduced to one instant: their end (``at_end``) or their start."""
+
+    pattern: "Pattern"
+    at_end: bool
+
+    @property
+    def operator(self) -> str:
+        """Name of the operator."""
+        return AT_END if self.at_end else AT_START
 
 
 PATTERNS = (
@@ -246,9 +308,13 @@ PATTERNS = (
     WindowPattern,
     RatePattern,
     AbsencePattern,
+    NotPrecededPattern,
+    InstantPattern,
 )
 """All classes of pattern nodes."""
 SEQ = "seq"
+AT_END = "at_end"
+AT_START = "at_start"
 MAX_REPETITIONS = 10_000
 """Maximum for ``ntimes``."""
 MAX_COMPOSED_REPETITIONS = 1_000
@@ -318,6 +384,8 @@ def own_terms(node: Pattern) -> List[Term]:
         return [*measured, *node.window.navigated_vars, *node.results]
     if isinstance(node, RatePattern):
         return [*node.keys] if node.value is None else [node.value, *node.keys]
+    if isinstance(node, AbsencePattern) and isinstance(node.span, Var):
+        return [node.span]
     return []
 
 
@@ -339,7 +407,7 @@ def children(node: Pattern, negated: bool = True) -> Tuple[Pattern, ...]:
         return (node.left, node.right)
     if isinstance(node, OrPattern):
         return node.branches
-    if isinstance(node, (NotPattern, AbsencePattern)):
+    if isinstance(node, (NotPattern, AbsencePattern, NotPrecededPattern)):
         return (node.pattern, node.negated) if negated else (node.pattern,)
     if isinstance(node, KleenePattern):
         return (node.first, node.repeated)
@@ -347,7 +415,10 @@ def children(node: Pattern, negated: bool = True) -> Tuple[Pattern, ...]:
         return (node.first, node.collected)
     if isinstance(node, WindowPattern):
         return (node.collected,)
-    if isinstance(node, (RepeatedPattern, ConditionPattern, WithinPattern, ActionPattern, RatePattern)):
+    if isinstance(
+        node,
+        (RepeatedPattern, ConditionPattern, WithinPattern, ActionPattern, RatePattern, InstantPattern),
+    ):
         return (node.pattern,)
     return ()
 
@@ -376,10 +447,10 @@ def _step_conditions(node: Pattern) -> List[Term]:
 
 def _distinguishing_name_and_numbers(node: Pattern) -> Tuple[str, Tuple[int, ...]]:
     """Return a name and numbers that distinguish a node from others with the same terms."""
-    if isinstance(node, PairPattern):
+    if isinstance(node, (PairPattern, InstantPattern)):
         return node.operator, ()
     if isinstance(node, AggregatePattern):
-        return node.kind, ()
+        return node.kind if node.setting is None else f"{node.kind} {node.setting!r}", ()
     if isinstance(node, RatePattern):
         return node.operator, (node.span,)
     if isinstance(node, WindowPattern):
@@ -387,7 +458,9 @@ def _distinguishing_name_and_numbers(node: Pattern) -> Tuple[str, Tuple[int, ...
         name = f"{node.window.kind} {' '.join(node.kinds)} {settings}"
         # Only the plain fields of steps: their conditions are terms, and compared as such.
         name += "".join(map(repr, (*(step[:5] for step in node.window.steps), *node.scopes)))
-        return name, (*node.window[1:4], int(node.window.running), int(node.is_listed))
+        window = node.window
+        lengths = window.span, window.step, window.max_count, window.gap, window.max_length or 0
+        return name, (*lengths, int(window.running), int(node.is_listed))
     return type(node).__name__, _distinguishing_numbers(node)
 
 
@@ -397,12 +470,17 @@ def _distinguishing_numbers(node: Pattern) -> Tuple[int, ...]:
     if isinstance(node, OrPattern):
         return (len(node.branches),)
     if isinstance(node, NotPattern):
-        return (int(node.inside),)
-    if isinstance(node, (WithinPattern, AbsencePattern)):
+        return (_SCOPE_NUMBERS[node.scope],)
+    if isinstance(node, (WithinPattern, NotPrecededPattern)):
         return (node.span,)
+    if isinstance(node, AbsencePattern):
+        return () if isinstance(node.span, Var) else (node.span,)
     if isinstance(node, ConditionPattern):
         return (int(node.timed),)
     return (int(node.every),) if isinstance(node, ActionPattern) else ()
+
+
+_SCOPE_NUMBERS = {NegationScope.BEFORE: 0, NegationScope.BETWEEN: 1, NegationScope.OVERLAP: 2}
 
 
 def _variable_occurrences(term: Term) -> List[Var]:

@@ -189,6 +189,32 @@ def _may_be_options(term: Term) -> bool:
     )
 
 
+HEAD_READINGS: Tuple[Tuple[str, str], ...] = (
+    ("exceptionAlarm(E, N)", "E is emitted N seconds after the end of this match:"),
+    ("exceptionAlarmAbsoluteDatime(E, T)", "E is emitted at T, after this match:"),
+    *(
+        (notation.format(name), words)
+        for name in ("synchronized", "syncronized")
+        for notation, words in (
+            (
+                "{}(E, Q, M)",
+                "E is emitted if goal Q has a solution when the data of M have arrived, after this match:",
+            ),
+            (
+                "{}(E, Q, M, [timeout(N)])",
+                "E is emitted if goal Q has a solution when the data of M have arrived, within N seconds after this "
+                "match:",
+            ),
+            (
+                "{}(E, Q, M, O)",
+                "E is emitted if goal Q has a solution when the data of M have arrived, with options O, after this "
+                "match:",
+            ),
+        )
+    ),
+)
+"""Notations of the heads that raise an event later, with their words in readings of rules."""
+
 NEW_EVENT = frozenset(
     (*(functor("new_event", arity) for arity in (2, 3, 5)), functor("event", 1), functor("event", 2))
 )

@@ -1,19 +1,22 @@
-"""Labels of rules and their properties.
+"""Labels of rules and their properties, and the names of rules.
 
-A label names a rule and sets its properties: ``L : R`` or ``L([property(Name, Value), ...]) : R``.
+A label names a rule and sets its properties: ``L : R`` or ``L([property(Name, Value), ...]) : R``. A rule without a
+label has its event as name: `rule_name`. Users meet rules as `rule_title`: by name and place.
 """
 
 from math import isfinite
-from typing import Any, Dict, NamedTuple, Optional, Tuple
+from typing import Any, Callable, Dict, NamedTuple, Optional, Tuple
 
-from ...foundation.errors import RuleError
+from ...foundation.errors import RuleError, shorten
 from ...foundation.similar_names import did_you_mean
 from ...prolog.terms.list_terms import list_items
-from ...prolog.terms.types import COLON, Atom, CompoundTerm, Term, Var, deref, functor
+from ...prolog.terms.types import COLON, Atom, CompoundTerm, Term, Var, atom, deref, functor
 from .event_operators import ARROWS, OPERATOR_NAMES
 from .pattern_parser import PlaceLookup
+from .rule_heads import event_raised_by
 
 RULE = functor("rule:", 2)
+_NULL_EVENTS = (atom("null"), atom("null_event"))
 _PROPERTY = functor("property", 2)
 WORD_PROPERTIES: Dict[str, Tuple[str, ...]] = {
     "policy": ("recent", "recent_2", "chronological", "chronological_2", "unrestricted"),
@@ -25,7 +28,25 @@ WORD_PROPERTIES: Dict[str, Tuple[str, ...]] = {
 WATERMARK_DELAY = "watermark_delay"
 """Name of the property, and of the flag, whose value is ``auto`` or a number of seconds."""
 
+PROPERTY_READINGS: Dict[str, str] = {
+    "event_rule_window": "a match takes at most V seconds",
+    "window": "a match takes at most V seconds",
+    "window_step": "old partial matches are removed every V seconds",
+    "ttl": "partial matches and keys are dropped after V seconds without an event",
+    WATERMARK_DELAY: "deadlines and windows wait V seconds for late events",
+    "policy": "the consumption policy is V",
+    "out_of_order": "waiting for late first events is V",
+    "after_match": "after a match: V",
+}
+"""Words of the properties in readings of rules, with their value V."""
+
+ZERO_READINGS: Dict[str, str] = {"ttl": "partial matches and keys are never dropped for their age"}
+"""Words of properties with the value 0, if they differ."""
+
 KNOWN_PROPERTIES = ("event_rule_window", "window", "window_step", "ttl", WATERMARK_DELAY, *WORD_PROPERTIES)
+MAX_NAME_CHARACTERS = 60
+"""Maximum length of the name of a rule; the rest is omitted."""
+
 _LABEL_FORM = "a label is an atom, or Label([property(Name, Value), ...])"
 
 
@@ -144,3 +165,39 @@ def _guess_property(part: Term) -> str:
 
 def _is_property(term: Term) -> bool:
     return term.__class__ is tuple and term[0] is _PROPERTY and deref(term[1]).__class__ is Atom
+
+
+def rule_name(label: Optional[Term], head: Optional[Term], rule: Term, show: Callable[[Term], str]) -> str:
+    """Return the name of a rule: its label, or else its event, as ``overheated(Room)``.
+
+    A rule whose event is not used has the name of its goal: ``do g(X)`` for ``P do g(X)`` and ``null do g(X) <- P``.
+
+    Args:
+        label: the label, with or without properties; None for a rule without a label.
+        head: the head, without its ``do`` goal; None for ``P do G``.
+        rule: the rule without its label.
+        show: returns the text of a term.
+
+    Returns:
+        The name, shortened to `MAX_NAME_CHARACTERS`.
+    """
+    name: Any = deref(label) if label is not None else None
+    if name is not None:
+        return shorten(show(atom(name[0].name) if name.__class__ is tuple else name), MAX_NAME_CHARACTERS)
+    event: Any = event_raised_by(head)
+    # The part ``H do G`` or ``P do G``, if there is one.
+    action: Any = rule if event is None or rule.__class__ is not tuple else deref(rule[1])
+    has_action = action.__class__ is tuple and OPERATOR_NAMES.get(action[0]) == "do"
+    if has_action and (event is None or event in _NULL_EVENTS):
+        return shorten(f"do {show(deref(action[2]))}", MAX_NAME_CHARACTERS)
+    return "any event" if event.__class__ is Var else shorten(show(event), MAX_NAME_CHARACTERS)
+
+
+def rule_title(name: str, line: str) -> str:
+    """Return the name of a rule with its line, ``hot (rules.txt:3)``, by which a user finds the rule.
+
+    Args:
+        name: the name, see `rule_name`.
+        line: file and line, see `line_of`; "" for a rule that was added at run time.
+    """
+    return f"{name} ({line or 'added at run time'})"

@@ -1,8 +1,8 @@
 """Parser of windows ``aggregate(K, Q, R, W)``, of rate operators ``P with S``, and of subscription patterns.
 
 A window determines which matches of Q are aggregated together: the last ones by time or count (sliding), adjacent
-ones (tumbling), overlapping ones (hopping), or the rows of a row pattern. K is a measure or a list of measures, and R
-the result or the list of their results.
+ones (tumbling), overlapping ones (hopping), those without a pause (session), or the rows of a row pattern. K is a
+measure or a list of measures, and R the result or the list of their results.
 
 A rate operator S passes some matches of P only: ``throttle``, ``burst``, ``debounce`` and ``change`` correspond to
 throttleFirst, leading-edge debounce, debounce and distinctUntilChanged of ReactiveX. A subscription takes a single
@@ -42,7 +42,9 @@ from ..streams.rate_operators import RATE_OPERATORS
 from .event_operators import OPERATOR_NAMES
 from .likely_mistakes import bracket_advice
 from .pattern_tree import (
+    AbsencePattern,
     EventPattern,
+    NotPrecededPattern,
     Pattern,
     RatePattern,
     RowPatternStep,
@@ -55,6 +57,7 @@ if TYPE_CHECKING:
     from .pattern_parser import PatternReader
 
 _ABSENT_FUNCTOR, _AGGREGATE_FUNCTOR = functor("absent", 2), functor("aggregate", 4)
+NOT_PRECEDED = functor("not_preceded", 2)
 MIN_STEP_NANOSECONDS = 1_000_000
 """Minimum time between two results of a window, in ns."""
 MAX_OVERLAPPING_WINDOWS = 10_000
@@ -77,11 +80,11 @@ CreateError = Callable[..., RuleError]
 
 _WINDOW_NOTATIONS = (
     "last(Seconds), last(N, events), last(Seconds, every(Seconds)), every(Seconds), every(Seconds, first), "
-    "every(N, events), running(every(...)), or steps([Step, ...])"
+    "every(N, events), running(every(...)), session(Seconds), session(Seconds, max(Seconds)), or steps([Step, ...])"
 )
 
 
-_WINDOW_NAMES = frozenset(("last", "every", "running", "steps"))
+_WINDOW_NAMES = frozenset(("last", "every", "running", "session", "steps"))
 _STEP_MEASURE_NAME = "of"
 
 
@@ -102,6 +105,14 @@ def is_event(term: CompoundTerm) -> bool:
     return not is_aggregate and not (window.__class__ is tuple and window[0].name in _WINDOW_NAMES)
 
 
+def is_computed_timeout(term: CompoundTerm) -> bool:
+    """Return whether the right operand of a sequence is an ``absent`` whose time is a variable.
+
+    Elsewhere such a term is an event.
+    """
+    return term[0] is _ABSENT_FUNCTOR and deref(term[2]).__class__ is Var
+
+
 def regroup_rate_operator(term: CompoundTerm) -> Optional[CompoundTerm]:
     """Return ``(P with S) op Q`` for ``P with (S op Q)``, the form that is parsed without brackets; otherwise None.
 
@@ -113,7 +124,9 @@ def regroup_rate_operator(term: CompoundTerm) -> Optional[CompoundTerm]:
     while operator.__class__ is tuple and operator[0] in OPERATOR_NAMES:
         outer_operations.append(operator)
         operator = deref(operator[1])
-    if not outer_operations or operator.__class__ is not tuple or operator[0].name not in RATE_OPERATORS:
+    if not outer_operations or operator.__class__ is not tuple:
+        return None
+    if operator[0].name not in RATE_OPERATORS and operator[0] is not NOT_PRECEDED:
         return None
     regrouped: CompoundTerm = (term[0], term[1], operator)
     for operation in reversed(outer_operations):
@@ -121,13 +134,34 @@ def regroup_rate_operator(term: CompoundTerm) -> Optional[CompoundTerm]:
     return regrouped
 
 
-def parse_rate_operator(term: CompoundTerm, pattern: Pattern, create_error: CreateError) -> RatePattern:
+def parse_not_preceded(reader: "PatternReader", term: CompoundTerm) -> Optional[NotPrecededPattern]:
+    """Return the pattern ``P with not_preceded(Q, N)``; None for another operator.
+
+    Raises:
+        RuleError: if N is not a positive number.
+    """
+    operator: Any = deref(term[2])
+    if operator.__class__ is not tuple or operator[0] is not NOT_PRECEDED:
+        return None
+    pattern, negated = (
+        reader.read_operand(term, 1, "with"),
+        reader.read_operand(operator, 1, NOT_PRECEDED.name),
+    )
+    return NotPrecededPattern(
+        pattern, negated, parse_seconds(NOT_PRECEDED.name, operator, 2, reader.create_error)
+    )
+
+
+def parse_rate_operator(
+    term: CompoundTerm, pattern: Pattern, create_error: CreateError, further_notations: Sequence[str] = ()
+) -> RatePattern:
     """Return the pattern ``P with S``.
 
     Args:
         term: the term ``P with S``.
         pattern: the parsed pattern P.
         create_error: creates the error that is raised.
+        further_notations: notations of other operators that may follow ``with``.
 
     Raises:
         RuleError: if the rate operator is malformed, or uses a variable that P does not bind.
@@ -135,14 +169,14 @@ def parse_rate_operator(term: CompoundTerm, pattern: Pattern, create_error: Crea
     operator: Any = deref(term[2])
     name = operator[0].name if operator.__class__ is tuple else ""
     if name not in RATE_OPERATORS or len(operator) not in (2, 3):
-        notations = "; ".join(rate_operator.notation for rate_operator in RATE_OPERATORS.values())
+        rate_notations = [rate_operator.notation for rate_operator in RATE_OPERATORS.values()]
+        notations = "; ".join([*rate_notations, *further_notations])
+        names = [*RATE_OPERATORS, *(notation.partition("(")[0] for notation in further_notations)]
         error_position = (operator,) if operator.__class__ is tuple else (term, 2)
-        raise create_error(
-            f"with needs one of {notations}{did_you_mean(name, RATE_OPERATORS)}", *error_position
-        )
+        raise create_error(f"with needs one of {notations}{did_you_mean(name, names)}", *error_position)
     span, value = 0, None
     if RATE_OPERATORS[name].takes_seconds:
-        span = _parse_seconds(name, operator, 1, create_error)
+        span = parse_seconds(name, operator, 1, create_error)
     else:
         value = deref(operator[1])
     keys: Tuple[Term, ...] = ()
@@ -171,7 +205,7 @@ def parse_window(reader: "PatternReader", term: CompoundTerm) -> WindowPattern:
         raise reader.create_error("an aggregate needs at least one kind", term, 1)
     measure_terms = [measures_term] if listed_measures is None else [deref(item) for item in listed_measures]
     restricted_measures = [_split_step_restriction(measure_term) for measure_term in measure_terms]
-    measures = [_parse_measure(reader, measure_term, term) for _, measure_term in restricted_measures]
+    measures = [parse_measure(reader, measure_term, term) for _, measure_term in restricted_measures]
     collected = reader.read_operand(term, 2, "aggregate")
     pattern_variables = set(bound_by(collected))
     for (_, measure_term), measure in zip(restricted_measures, measures):
@@ -220,15 +254,25 @@ def _find_step_numbers(
     return tuple([None if step is None else names.index(step) for step in steps])
 
 
-class _WindowMeasure(NamedTuple):
-    """Measure of a window: name of the aggregate function, its setting (see `Setting`), and the measured term."""
+class AggregateMeasure(NamedTuple):
+    """Measure of an aggregate: name of the aggregate function, its setting (see `Setting`), and the measured term."""
 
     name: str
     setting: Setting
     value: Optional[Term]
 
 
-def _parse_measure(reader: "PatternReader", measure_term: Any, term: CompoundTerm) -> _WindowMeasure:
+def parse_measure(reader: "PatternReader", measure_term: Any, term: CompoundTerm) -> AggregateMeasure:
+    """Return the measure that a term denotes.
+
+    Args:
+        reader: reports errors with their places.
+        measure_term: the term.
+        term: the aggregate, whose first argument it is.
+
+    Raises:
+        RuleError: if there is no such aggregate function, or its setting is malformed.
+    """
     name = functor_name(measure_term)
     arguments: Sequence[Term] = measure_term[1:] if measure_term.__class__ is tuple else ()
     error_position = (measure_term,) if measure_term.__class__ is tuple else (term, 1)
@@ -251,7 +295,7 @@ def _parse_measure(reader: "PatternReader", measure_term: Any, term: CompoundTer
             raise reader.create_error(
                 f"{aggregate.notation} needs the names of three predicates", *error_position
             )
-    return _WindowMeasure(name, setting, deref(arguments[-1]) if aggregate.has_value else None)
+    return AggregateMeasure(name, setting, deref(arguments[-1]) if aggregate.has_value else None)
 
 
 def _parse_window_term(
@@ -277,6 +321,14 @@ def _parse_window_term(
                 "running needs every(Seconds), every(Seconds, first) or every(N, events)", window
             )
         return tumbling._replace(running=True)
+    if name == "session":
+        return _parse_session_window(reader, window)
+    return _parse_last_or_every(reader, window, term)
+
+
+def _parse_last_or_every(reader: "PatternReader", window: Any, term: CompoundTerm) -> WindowSpec:
+    """Return the window ``last(...)`` or ``every(...)``; see `_parse_window_term`."""
+    name = window[0].name if window.__class__ is tuple else ""
     syntax_error = reader.create_error(
         f"a window is {_WINDOW_NOTATIONS}", *((window,) if window.__class__ is tuple else (term, 4))
     )
@@ -292,23 +344,38 @@ def _parse_window_term(
             )
         return WindowSpec("newest" if name == "last" else "batch", max_count=size)
     if len(window) == 2:
-        span = _parse_seconds(name, window, 1, reader.create_error)
+        span = parse_seconds(name, window, 1, reader.create_error)
         return (
             WindowSpec(name, span, span)
             if name == "last"
             else _create_hopping_window(reader, window, span, span)
         )
     if name == "every" and option == "first":
-        span = _parse_seconds(name, window, 1, reader.create_error)
+        span = parse_seconds(name, window, 1, reader.create_error)
         return WindowSpec("first", span, span)
     if name == "last" and argument.__class__ is tuple and argument[0].name == "every" and len(argument) == 2:
         return _create_hopping_window(
             reader,
             window,
-            _parse_seconds(name, window, 1, reader.create_error),
-            _parse_seconds("every", argument, 1, reader.create_error),
+            parse_seconds(name, window, 1, reader.create_error),
+            parse_seconds("every", argument, 1, reader.create_error),
         )
     raise syntax_error
+
+
+def _parse_session_window(reader: "PatternReader", window: CompoundTerm) -> WindowSpec:
+    """Return the window ``session(Seconds)`` or ``session(Seconds, max(Seconds))``."""
+    gap = parse_seconds("session", window, 1, reader.create_error)
+    if len(window) == 2:
+        return WindowSpec("session", gap=gap)
+    option: Any = deref(window[2])
+    if len(window) > 3 or option.__class__ is not tuple or option[0].name != "max" or len(option) != 2:
+        raise reader.create_error("session takes seconds and max(Seconds)", window, 2)
+    max_length = parse_seconds("max", option, 1, reader.create_error)
+    # A shorter maximum would end each window before its gap.
+    if max_length <= gap:
+        raise reader.create_error("max needs more seconds than its session", option, 1)
+    return WindowSpec("session", gap=gap, max_length=max_length)
 
 
 def _create_hopping_window(reader: "PatternReader", window: CompoundTerm, span: int, step: int) -> WindowSpec:
@@ -323,23 +390,26 @@ def _create_hopping_window(reader: "PatternReader", window: CompoundTerm, span: 
     return WindowSpec("every", span, step)
 
 
-def _parse_seconds(name: str, term: CompoundTerm, position: int, create_error: CreateError) -> int:
+def parse_seconds(name: str, term: CompoundTerm, position: int, create_error: CreateError) -> int:
     """Return the nanoseconds of an argument, a positive number of seconds."""
     seconds = deref(term[position])
-    if (
-        seconds.__class__ not in (int, float)
-        or not seconds > 0
-        or seconds == float("inf")
-        or not from_seconds(seconds)
-    ):
+    nanoseconds = positive_nanoseconds(seconds)
+    if nanoseconds is None:
         raise create_error(
             f"{name} needs a positive number of seconds{bracket_advice(name, seconds)}", term, position
         )
-    nanoseconds = from_seconds(seconds)
     # Instants after a timestamp and a longer time could not be stored in states.
     if nanoseconds > MAX_TIMESTAMP:
         raise create_error(f"{name} needs at most {MAX_TIMESTAMP // SECOND:.1e} seconds", term, position)
     return nanoseconds
+
+
+def positive_nanoseconds(seconds: Term) -> Optional[int]:
+    """Return a number of seconds in nanoseconds; None if the term is not a positive number of at least 1 ns."""
+    number: Any = deref(seconds)
+    if number.__class__ not in (int, float) or not 0 < number < float("inf"):
+        return None
+    return from_seconds(number) or None
 
 
 def rate_operator_term(rate_pattern: RatePattern) -> Term:
@@ -349,6 +419,11 @@ def rate_operator_term(rate_pattern: RatePattern) -> Term:
         return functor(rate_pattern.operator, 1)(first)
     keys = rate_pattern.keys[0] if len(rate_pattern.keys) == 1 else make_list(rate_pattern.keys)
     return functor(rate_pattern.operator, 2)(first, keys)
+
+
+def timeout_term(pattern: AbsencePattern) -> Term:
+    """Return the time of ``absent``: a number of seconds, or a variable."""
+    return pattern.span if isinstance(pattern.span, Var) else timestamps.to_seconds(pattern.span)
 
 
 def window_term(window: WindowSpec, to_seconds: Callable[[int], float] = timestamps.to_seconds) -> Term:
@@ -364,6 +439,9 @@ def window_term(window: WindowSpec, to_seconds: Callable[[int], float] = timesta
     span = to_seconds(window.span)
     if window.kind == "last":
         return functor("last", 1)(span)
+    if window.kind == "session":
+        bound = () if window.max_length is None else (functor("max", 1)(to_seconds(window.max_length)),)
+        return functor("session", 1 + len(bound))(to_seconds(window.gap), *bound)
     if window.kind == "newest":
         return functor("last", 2)(window.max_count, atom("events"))
     if window.kind == "batch":

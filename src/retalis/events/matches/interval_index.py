@@ -267,6 +267,8 @@ BEFORE = IntervalBounds(lambda start, end: (MIN_VALUE, MAX_VALUE, MIN_VALUE, sta
 """Everything that ended before."""
 BETWEEN = IntervalBounds(lambda start, end: (start + 1, MAX_VALUE, MIN_VALUE, end - 1), False)
 """Everything that lies strictly between two instants."""
+ENDS_AFTER_START = IntervalBounds(lambda start, end: (MIN_VALUE, MAX_VALUE, start + 1, MAX_VALUE), True)
+"""Everything that ends after the start."""
 
 
 @lru_cache(maxsize=1000)

@@ -8,6 +8,7 @@ sweep finds ruled out are removed first (`RuledOutSweep`); then the oldest one i
 from collections import deque
 from typing import TYPE_CHECKING, Deque, Iterable, Optional, Sequence
 
+from ...prolog.terms.timestamps import BEFORE_ALL_INSTANTS
 from ...serialization.state_fields import StateOwner
 from .expiration import VISITED_SLICE_ENTRIES, StartExpirationQueue, remove_stale_entries
 from .match_types import PartialMatch
@@ -35,6 +36,7 @@ class MatchStore(StateOwner):
 
     Attributes:
         meter: counts the pattern work of the rule; None if nothing is counted.
+        clock: largest end of the events that its patterns matched.
         order: the largest order of the matches so far. Each stored match has a larger one, which is its end if the
             end is larger. Then both are one object.
         stored_match_count: number of matches that are stored in buffers and run groups.
@@ -52,6 +54,7 @@ class MatchStore(StateOwner):
     def __init__(self, max_stored: int):
         self.meter: Optional[Meter] = None
         self.max_stored = max_stored
+        self.clock: int = BEFORE_ALL_INSTANTS
         self.order = 0
         self.stored_match_count = 0
         self.arrivals: Deque[PartialMatch] = deque()
@@ -70,8 +73,8 @@ class MatchStore(StateOwner):
         """Record a match that was stored, for expiration, lineage and after-match skip."""
         raise NotImplementedError
 
-    def report_dropped(self) -> None:
-        """Report that a match was dropped."""
+    def report_dropped(self, match: PartialMatch, is_negated: bool) -> None:
+        """Report that a match was dropped, which may belong to a negated pattern."""
         raise NotImplementedError
 
     def set_sweeps(self, sweeps: Sequence[RuledOutSweep]) -> None:
@@ -180,8 +183,9 @@ class MatchStore(StateOwner):
             if self._next_slice_start:
                 self._next_slice_start -= 1
             if oldest.buffer is not None:
+                is_negated = oldest.buffer.is_negated
                 oldest.discard()
                 self.dropped_count += 1
-                self.report_dropped()
+                self.report_dropped(oldest, is_negated)
                 if self.stored_match_count <= max_stored:
                     return

@@ -485,20 +485,25 @@ def _identity_of(match: EventMatch, keys: Tuple[Hashable, ...]) -> Hashable:
     return keys[0] if len(keys) == 1 else Identity(keys)
 
 
-def event_tokens(match: PartialMatch) -> Iterator[Hashable]:
-    """Yield the tokens of the events that a match consists of, in the order of the pattern."""
+def event_matches(match: EventMatch) -> Iterator[EventMatch]:
+    """Yield the matches of single events that a match consists of, in the order of the pattern."""
     part: Any
     stack: List[EventMatch] = [match]
     while stack:
         inner_match = stack.pop()
         if inner_match.parts is None:
-            yield inner_match.event
+            yield inner_match
         else:
             for part in reversed(inner_match.parts):
                 if isinstance(part, EventMatch):
                     stack.append(part)
                 elif part.__class__ is RepetitionChain or isinstance(part, IdentifyingRepetitions):
                     stack.extend(reversed(part.matches))
+
+
+def event_tokens(match: PartialMatch) -> Iterator[Hashable]:
+    """Yield the tokens of the events that a match consists of, in the order of the pattern."""
+    return (event_match.event for event_match in event_matches(match))
 
 
 def lineage_sources(match: PartialMatch) -> Iterator[Hashable]:

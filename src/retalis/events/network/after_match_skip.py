@@ -22,7 +22,7 @@ from ..matches.consumption_policy import Emit
 from ..matches.expiration import ExpirationQueue
 from ..matches.match_types import PartialMatch
 from ..matches.network_options import AfterMatchSkipStrategy, NetworkOptions
-from .pattern_nodes import ActionNode, FilterNode, NetworkNode
+from .pattern_nodes import ActionNode, EarlyTestNode, FilterNode, NetworkNode
 
 if TYPE_CHECKING:
     from .event_rule import EventRule
@@ -219,7 +219,7 @@ class AfterMatchSkip(StateOwner):
 def find_first_action_node(root: NetworkNode) -> Optional[ActionNode]:
     """Return the node of the goal that is called first when the whole pattern has matched; None if there is none."""
     action, node = None, root
-    while isinstance(node, (ActionNode, FilterNode)):
+    while isinstance(node, (ActionNode, FilterNode, EarlyTestNode)):
         action = node if isinstance(node, ActionNode) else action
         node = node.child
     return action

@@ -35,8 +35,11 @@ from ..language.pattern_tree import (
     AbsencePattern,
     AggregatePattern,
     ConditionPattern,
+    InstantPattern,
     KleenePattern,
+    NegationScope,
     NotPattern,
+    NotPrecededPattern,
     Pattern,
     RatePattern,
     WindowPattern,
@@ -45,7 +48,7 @@ from ..language.pattern_tree import (
     walk,
 )
 from ..matches.match_types import PartialMatch
-from ..matches.negation import DeferredNegations, NegationBuffer
+from ..matches.negation import DeferredNegations, NegationBuffer, OverlapBuffer
 from .goal_evaluation import RuleGoal, Test, compile_condition_test
 from .pattern_nodes import BoundedNode, EventNode, NetworkNode
 from .repetition_runs import NO_ITEMS
@@ -55,6 +58,10 @@ if TYPE_CHECKING:
 
 
 _ITEMS = functor("items", 2)
+
+_UNDECIDED_REPORT = (
+    "a late match is dropped: an event after without that it may overlap is not stored any more"
+)
 
 
 class BuiltPattern(NamedTuple):
@@ -80,6 +87,12 @@ class BuiltPattern(NamedTuple):
         if self.branch_leaves is not None:
             return self.branch_leaves
         return [*self.joined_leaves, *self.single_leaves]
+
+    def with_leaves_before(self, negated: "Sequence[NegatedPattern]") -> "BuiltPattern":
+        """Return the result with the event nodes of negated patterns first: an event excludes before it completes."""
+        leaves = [leaf for pattern in negated for leaf in pattern.first.leaves]
+        branch_leaves = self.branch_leaves if self.branch_leaves is None else [*leaves, *self.branch_leaves]
+        return self._replace(joined_leaves=[*leaves, *self.joined_leaves], branch_leaves=branch_leaves)
 
     def with_negated(
         self, node: NetworkNode, deferred: "List[DeferredCondition]", negated: "BuiltPattern"
@@ -153,10 +166,26 @@ class NegatedPattern:
 
     def find_missing_vars(self, context: AbstractSet[Var], known_vars: Set[Var]) -> Set[Var]:
         """Return the variables of a context that the pattern uses and that are not known."""
+        return (self.mentioned_vars() & context) - known_vars
+
+    def mentioned_vars(self) -> Set[Var]:
+        """Return the variables of its matches and those that its deferred conditions require."""
         mentioned = set(self.first.node.vars)
         for condition in self.first.deferred:
             mentioned |= condition.required_vars
-        return (mentioned & context) - known_vars
+        return mentioned
+
+
+class OverlapCondition(NamedTuple):
+    """A ``without`` that is tested where it is written, because all of its variables are known there.
+
+    Attributes:
+        negated: the negated pattern.
+        vars: variables of its matches.
+    """
+
+    negated: NegatedPattern
+    vars: FrozenSet[Var]
 
 
 class DeferredCondition(NamedTuple):
@@ -164,25 +193,28 @@ class DeferredCondition(NamedTuple):
 
     Attributes:
         required_vars: variables of patterns further left that it uses.
-        goal: the goal; None for a negation.
-        uses_interval: whether the goal uses ``t1/1`` and ``t2/1``.
-        start: variable that is bound to the start of its pattern's interval; for a negation, to that of the gap.
-        end: variable that is bound to the end of its pattern's interval; for a negation, to that of the gap.
+        condition: the condition in the pattern; None for a negation.
+        start: variable that is bound to the start of its pattern's interval; for ``cnot``, to that of the gap.
+        end: variable that is bound to the end of its pattern's interval; for ``cnot``, to that of the gap.
         negated: the negated pattern of a negation; None for a goal.
-        is_unbounded: whether a match of the negated pattern at any earlier time counts, not only one in the gap.
+        scope: where the negated pattern must not match.
         items: for a condition on each repetition of a run, the layout of their values; else None.
         repetition_condition: for a condition on each repetition, the condition on a single one; else None.
     """
 
     required_vars: Set[Var]
-    goal: Optional[Term]
-    uses_interval: bool
+    condition: Optional[ConditionPattern]
     start: Var
     end: Var
     negated: Optional[NegatedPattern] = None
-    is_unbounded: bool = False
+    scope: NegationScope = NegationScope.BETWEEN
     items: Optional[RepetitionItems] = None
     repetition_condition: "Optional[DeferredCondition]" = None
+
+    @property
+    def goal(self) -> Optional[Term]:
+        """The goal; None for a negation."""
+        return None if self.condition is None else self.condition.goal
 
     def for_each_repetition(self, items: RepetitionItems) -> "DeferredCondition":
         """Return the condition that requires this one of each repetition of a run."""
@@ -242,15 +274,49 @@ def compile_deferred_test(
             rule, negations, condition.items, condition.repetition_condition, value_vars
         )
     interval_positions = (value_vars.index(condition.start), value_vars.index(condition.end))
-    if condition.goal is not None:
-        rule_goal = RuleGoal(rule, condition.goal, value_vars)
-        test = compile_condition_test(rule_goal, condition.uses_interval, interval_positions)
+    if condition.condition is not None:
+        rule_goal = RuleGoal(rule, condition.condition.goal, value_vars)
+        test = compile_condition_test(rule_goal, condition.condition, interval_positions)
         return test, rule_goal.result_vars
     assert condition.negated is not None
     built = condition.negated.next_copy()
-    negation = create_negation_buffer(rule, built, value_vars, condition.is_unbounded)
+    negation = create_negation_buffer(rule, built, value_vars, condition.scope)
     negations.append((negation, built.node))
     return _compile_negation_test(negation, interval_positions), value_vars
+
+
+def compile_overlap_test(
+    rule: "EventRule",
+    negations: DeferredNegations,
+    condition: OverlapCondition,
+    value_vars: List[Var],
+    expects_late: bool,
+) -> Test:
+    """Return the test of ``without`` at the node whose matches it limits.
+
+    Args:
+        rule: the rule of the condition.
+        negations: receives the negation buffer.
+        condition: the condition.
+        value_vars: variables of the node.
+        expects_late: see `OverlapBuffer`.
+    """
+    built = condition.negated.next_copy()
+    negation = create_negation_buffer(rule, built, value_vars, NegationScope.OVERLAP, True, expects_late)
+    assert isinstance(negation, OverlapBuffer)
+    negations.append((negation, built.node))
+
+    def test(values: Values, start: int, end: int) -> Optional[Values]:
+        if negation.forbids_pair(values, start, end):
+            return None
+        # The event that is not stored any more may be the one whose retraction makes this test run again.
+        if negation.may_have_lost(values, start) and not rule.options.emits_revisions:
+            rule.blocking_match = None
+            rule.network.report_late(rule, _UNDECIDED_REPORT)
+            return None
+        return values
+
+    return test
 
 
 def compile_early_test(
@@ -323,7 +389,12 @@ def _compile_repetition_test(
 
 
 def create_negation_buffer(
-    rule: "EventRule", negated: BuiltPattern, value_vars: List[Var], is_unbounded: bool
+    rule: "EventRule",
+    negated: BuiltPattern,
+    value_vars: List[Var],
+    scope: NegationScope,
+    is_on_own_interval: bool = False,
+    expects_late: bool = True,
 ) -> NegationBuffer:
     """Create the negation buffer for the matches of a negated pattern.
 
@@ -332,12 +403,20 @@ def create_negation_buffer(
         negated: result of building the negated pattern.
         value_vars: variables of the match that the negation may suppress; deferred conditions of the negated pattern
             use them.
-        is_unbounded: whether a match of the negated pattern at any earlier time counts, not only one in the gap.
+        scope: where the negated pattern must not match.
+        is_on_own_interval: see `OverlapBuffer`.
+        expects_late: see `OverlapBuffer`.
     """
     own_vars = negated.node.vars
     position_of = positions(value_vars)
     shared = [(position, position_of[var]) for position, var in enumerate(own_vars) if var in position_of]
-    negation = NegationBuffer(rule, shared, is_unbounded)
+    if scope is NegationScope.OVERLAP:
+        # The start is the last value of a match, see `EndNode`.
+        negation: NegationBuffer = OverlapBuffer(
+            rule, shared, len(own_vars) - 1, is_on_own_interval, expects_late
+        )
+    else:
+        negation = NegationBuffer(rule, shared, scope is NegationScope.BEFORE)
     if not negated.deferred:
         return negation
     new_vars = [var for var in own_vars if var not in position_of]
@@ -381,7 +460,7 @@ def _compile_negation_test(negation: NegationBuffer, interval_positions: Tuple[i
 
 
 VarSet = FrozenSet[Var]
-TestedCondition = Union[ConditionPattern, DeferredCondition]
+TestedCondition = Union[ConditionPattern, DeferredCondition, OverlapCondition]
 
 
 class UnwrappedPattern(NamedTuple):
@@ -390,25 +469,43 @@ class UnwrappedPattern(NamedTuple):
     Attributes:
         pattern: the event or operator below them.
         span: smallest ``within`` bound in ns; None for no bound.
-        conditions: the conditions, inner ones first.
+        conditions: the conditions, inner ones first, with each ``without``.
         negated: the negation in the gap of a pair; None if there is none.
     """
 
     pattern: Pattern
     span: Optional[int]
-    conditions: List[ConditionPattern]
+    conditions: "List[Union[ConditionPattern, NotPattern]]"
     negated: Optional[NotPattern]
 
 
 def may_be_revived(pattern: Pattern) -> bool:
     """Return whether retracting an event can create a match of a pattern, instead of only removing some."""
-    operators = (NotPattern, KleenePattern, AggregatePattern, WindowPattern, RatePattern, AbsencePattern)
+    operators = (
+        NotPattern,
+        KleenePattern,
+        AggregatePattern,
+        WindowPattern,
+        RatePattern,
+        AbsencePattern,
+        NotPrecededPattern,
+    )
     return any(isinstance(part, operators) for part in walk(pattern))
 
 
-def find_condition_vars(conditions: List[ConditionPattern]) -> VarSet:
-    """Return the variables of conditions."""
-    return frozenset(var for condition in conditions for var in variables(condition.goal))
+def has_instants(pattern: Pattern) -> bool:
+    """Return whether a pattern contains instants of matches."""
+    return any(isinstance(part, InstantPattern) for part in walk(pattern))
+
+
+def find_condition_vars(conditions: "Sequence[Union[TestedCondition, NotPattern]]") -> VarSet:
+    """Return the variables of the goals of conditions that are tested where they are written."""
+    return frozenset(
+        var
+        for condition in conditions
+        if isinstance(condition, ConditionPattern)
+        for var in variables(condition.goal)
+    )
 
 
 def order_by_result_use(
@@ -423,7 +520,10 @@ def order_by_result_use(
     result_vars = set(result)
     independent, dependent = [], []
     for condition in conditions:
-        goal_vars = set() if condition.goal is None else set(variables(condition.goal))
+        if isinstance(condition, OverlapCondition):
+            goal_vars = set(condition.vars)
+        else:
+            goal_vars = set() if condition.goal is None else set(variables(condition.goal))
         if goal_vars & result_vars:
             result_vars |= goal_vars.difference(known_vars)
             dependent.append((True, condition))
@@ -463,14 +563,16 @@ def may_share_event(left: BuiltPattern, right: BuiltPattern) -> bool:
 def unwrap(pattern: Pattern) -> UnwrappedPattern:
     """Return the event or operator below the bounds, conditions and negation of a pattern, together with these."""
     span: Optional[int] = None
-    conditions: List[ConditionPattern] = []
+    conditions: List[Union[ConditionPattern, NotPattern]] = []
     negated: Optional[NotPattern] = None
     while True:
-        if isinstance(pattern, ConditionPattern):
+        if isinstance(pattern, ConditionPattern) or (
+            isinstance(pattern, NotPattern) and pattern.scope is NegationScope.OVERLAP
+        ):
             conditions.append(pattern)
         elif isinstance(pattern, WithinPattern):
             span = pattern.span if span is None else min(span, pattern.span)
-        elif isinstance(pattern, NotPattern) and pattern.inside:
+        elif isinstance(pattern, NotPattern) and pattern.scope is NegationScope.BETWEEN:
             negated = pattern
         else:
             return UnwrappedPattern(pattern, span, conditions[::-1], negated)

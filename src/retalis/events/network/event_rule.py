@@ -33,8 +33,8 @@ from typing import (
 )
 
 from ...foundation.codegen import MAX_TERM_ARGUMENTS
-from ...foundation.errors import RuleError, UsageError
-from ...prolog.terms.term_traversal import is_larger
+from ...foundation.errors import RuleError, UsageError, line_of
+from ...prolog.terms.term_traversal import is_larger, variables
 from ...prolog.terms.timestamps import BEFORE_ALL_INSTANTS
 from ...prolog.terms.types import Atom, EventAction, Frame, Functor, Term, Values, Var, deref
 from ...serialization.field_types import (
@@ -62,6 +62,7 @@ from ..dispatch.matcher_compiler import compile_builder
 from ..fused.fused_single_event import Continuation, compile_firing_action
 from ..language.pattern_tree import Pattern, RuleDefinition, WindowPattern
 from ..language.rule_heads import resolve_alarm
+from ..language.rule_labels import rule_name, rule_title
 from ..matches.expiration import ExpirationQueue, smaller_bound
 from ..matches.match_buffer import MatchBuffer
 from ..matches.match_limit import MatchStore
@@ -72,9 +73,11 @@ from ..streams.windows import OpenWindow, Window
 from .after_match_skip import AfterMatchSkip, select_skip_state
 from .pattern_nodes import EventNode
 from .rule_compiler import RuleCompiler
+from .rule_use_counts import RuleUseCounts
 from .stream_node import StreamNode
 
 if TYPE_CHECKING:
+    from ...prolog.system.prolog_system import PrologSystem
     from ..matches.consumption_policy import Emit
     from .network_context import NetworkContext
 
@@ -131,11 +134,22 @@ MATCH_BYTES = 930
 """Memory of a partial match with two small arguments, in bytes; measured with tracemalloc on CPython 3.11."""
 
 
+def _name_rule(definition: RuleDefinition, logic: "PrologSystem") -> str:
+    """Return the name of a rule."""
+
+    def show(term: Term) -> str:
+        # Variables of a rule that was added at run time have no names; numbered ones would differ in each message.
+        names = {**dict.fromkeys(variables(term), "_"), **definition.names}
+        return logic.brief(term, names, is_constructed=True)
+
+    return rule_name(definition.label, definition.head, definition.term, show)
+
+
 class EventRule(MatchStore):
     """One event rule of the program.
 
     Attributes:
-        name: its name in reports.
+        name: its name, see `rule_name`.
         serial: position among the rules; older ones receive events first.
         from_outside: whether it was added by a service or topic, not by the program.
         skip_state: state of its after-match skip strategy; None if it skips nothing.
@@ -144,7 +158,6 @@ class EventRule(MatchStore):
         listeners: the listeners of its event nodes.
         metrics: its counters.
         maintains_clock: whether its clock advances, because matches expire by it.
-        clock: largest end of the events that its patterns matched.
         max_timestamp: largest time stamp that is known to be allowed to advance its clock.
         completion: receives the values of complete matches, if nothing is tracked.
     """
@@ -198,7 +211,7 @@ class EventRule(MatchStore):
         ),
     )
 
-    def __init__(self, network: "NetworkContext", definition: RuleDefinition, serial: int, name: str):
+    def __init__(self, network: "NetworkContext", definition: RuleDefinition, serial: int):
         super().__init__(network.max_stored)
         self.network = network
         self.meter = network.logic.machine.budget.meter(self)
@@ -207,7 +220,9 @@ class EventRule(MatchStore):
         self.place = definition.place
         self.label = definition.label
         self.serial = serial
-        self.name = name
+        self.name = _name_rule(definition, network.logic)
+        counts_uses = network.logic.counted_clauses is not None
+        self.use_counts = RuleUseCounts(definition.pattern) if counts_uses else None
         self.skip_state: Optional[AfterMatchSkip] = None
         self.window: Optional[int] = None
         self.idle: Optional[int] = None
@@ -217,7 +232,6 @@ class EventRule(MatchStore):
         self.late_count = 0
         self.ahead_count = 0
         self.maintains_clock = False
-        self.clock: int = BEFORE_ALL_INSTANTS
         self.max_timestamp: int = BEFORE_ALL_INSTANTS
         self.completion: Optional[Continuation] = None
         self._main_retention: Optional[int] = None
@@ -235,6 +249,11 @@ class EventRule(MatchStore):
         self.nodes = [bounded.node for bounded in compiler.nodes]
         self.shares_events = any(getattr(node, "shares_events", False) for node in self.nodes)
         self._builder: Optional[Callable[[Values], Term]] = None
+
+    @property
+    def title(self) -> str:
+        """Its name and line, see `rule_title`."""
+        return rule_title(self.name, line_of(self.place))
 
     def configure(
         self, options: NetworkOptions, window: Optional[int], garbage: Optional[Tuple[int, int]]
@@ -567,9 +586,9 @@ class EventRule(MatchStore):
         if self.skip_state is not None:
             self.skip_state.add_entry(match)
 
-    def report_dropped(self) -> None:
-        """Report that a match was dropped."""
-        self.network.report_dropped(self)
+    def report_dropped(self, match: PartialMatch, is_negated: bool) -> None:
+        """See `MatchStore.report_dropped`."""
+        self.network.report_dropped(self, excluding=match if is_negated else None)
 
     def _enqueue_expiration(self, match: PartialMatch, retention: Optional[int]) -> None:
         if retention is not None:

@@ -27,13 +27,22 @@ from ...prolog.terms.list_terms import list_items, make_list
 from ...prolog.terms.term_traversal import are_ground, positions, variables
 from ...prolog.terms.types import Atom, EventAction, Frame, Term, Values, Var, deref, functor
 from ..fused.fused_single_event import Continuation, compile_goal_action
+from ..language.pattern_tree import ConditionPattern
 from ..matches.consumption_policy import emit_each, metered
 from ..matches.match_types import PartialMatch
-from ..streams.aggregates import AGGREGATES, array_length, is_number, is_number_expression, value_error
+from ..streams.aggregates import (
+    AGGREGATES,
+    Setting,
+    array_length,
+    is_number,
+    is_number_expression,
+    value_error,
+)
 
 if TYPE_CHECKING:
     from ..matches.watermarks import PatternWatermark
     from .event_rule import EventRule
+    from .rule_use_counts import ExtendValues
 
 
 class AlarmOwner(Protocol):
@@ -187,11 +196,6 @@ class RuleGoal:
             goal, inputs, self._report_error_of_call, on_solution, term, passed_values, start, end, frame
         )
 
-    @property
-    def ground_goal(self) -> CompiledGoal:
-        """The goal for inputs without variables."""
-        return self._ground_goal
-
     def continuation_for_event(self, completion: Continuation) -> Continuation:
         """Return the continuation that calls the goal for a single event and continues with a completion.
 
@@ -275,7 +279,12 @@ class RuleGoal:
                 requested_outputs = [all_solutions]
             rule = self.rule
             compiled = self._compiled[key] = rule.network.logic.compile_goal(
-                goal, list(inputs), requested_outputs, rule.place, rule.name, self._comes_from_client
+                goal,
+                list(inputs),
+                requested_outputs,
+                rule.place,
+                f"rule {rule.name}",
+                self._comes_from_client,
             )
         return compiled
 
@@ -288,18 +297,22 @@ class RuleGoal:
 
 
 def compile_condition_test(
-    rule_goal: RuleGoal, uses_interval: bool, interval_positions: Optional[Tuple[int, int]]
+    rule_goal: RuleGoal, condition: ConditionPattern, interval_positions: Optional[Tuple[int, int]]
 ) -> Test:
     """Return the test of a condition.
 
     Args:
         rule_goal: the goal.
-        uses_interval: whether it uses ``t1/1`` and ``t2/1``.
+        condition: the condition.
         interval_positions: positions of the interval of the condition's pattern among the values, if it is tested
             further up; a variable there means that the pattern is in a branch that was not taken.
     """
-    extend_values = rule_goal.extend_values
+    extend_values: ExtendValues = rule_goal.extend_values
+    use_counts = rule_goal.rule.use_counts
+    if use_counts is not None:
+        extend_values = use_counts.count_outcomes(condition, extend_values)
     condition_state = rule_goal.rule.network.condition_state
+    uses_interval = condition.timed
     new_var_count = len(rule_goal.outputs)
 
     def without_interval(values: Values, start: int, end: int) -> Optional[Values]:
@@ -402,6 +415,10 @@ class Evaluators:
                 raise RuleError(f"{title}: {error.message}") from error
 
         return is_satisfied
+
+    def compile_setting(self, aggregate: str, setting: Any) -> Setting:
+        """Return the setting of an aggregate; the predicates of a user-defined one become a function."""
+        return self.compile_fold(setting) if aggregate == "fold" else setting
 
     def compile_fold(self, predicate_names: Tuple[Atom, Atom, Atom]) -> FoldFunction:
         """Return a function that calls the predicates of a user-defined aggregate; it returns None if one fails.

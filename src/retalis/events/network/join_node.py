@@ -18,7 +18,19 @@ For ``seq`` and other operators that order their operands, only left operands ar
 Right operands are stored only if the left one may be late (``out_of_order``) or revived by a retraction.
 """
 
-from typing import TYPE_CHECKING, AbstractSet, Any, Callable, Dict, Hashable, List, Optional, Sequence, Tuple
+from typing import (
+    TYPE_CHECKING,
+    AbstractSet,
+    Any,
+    Callable,
+    Dict,
+    Hashable,
+    Iterator,
+    List,
+    Optional,
+    Sequence,
+    Tuple,
+)
 
 from ...foundation.codegen import shared_function
 from ...prolog.terms.term_traversal import positions
@@ -43,7 +55,7 @@ from ..matches.expiration import retention_for_late
 from ..matches.interval_index import interval_bounds
 from ..matches.match_buffer import MatchBuffer
 from ..matches.match_types import TOKEN_KEY, ComputedValues, PartialMatch, is_retracted
-from ..matches.negation import DeferredNegations, NegationBuffer, RuledOutSweep
+from ..matches.negation import DeferredNegations, NegationBuffer, OverlapBuffer, OverlapSweep, RuledOutSweep
 from ..matches.network_options import NetworkOptions
 from .goal_evaluation import Test
 from .lineage_graph import MatchOrPair
@@ -74,6 +86,8 @@ class JoinNode(NetworkNode):
         gap: variables that receive the gap between the operands, for a negation that is tested further up; or None.
         interval_vars: pairs of variables that receive the interval of the result, for conditions tested further up.
         shares_events: whether one event may be in both operands.
+        has_instants: whether an operand contains instants of matches, so that one event may be both operands of a
+            sequence if nothing excludes it.
         identity_functions: functions that return the identity of the matches of the left and of the right operand.
 
     Attributes:
@@ -99,6 +113,7 @@ class JoinNode(NetworkNode):
         gap: Optional[Tuple[Var, Var]],
         interval_vars: Sequence[Tuple[Var, Var]],
         shares_events: bool,
+        has_instants: bool,
         identity_functions: Tuple[IdentityFunction, IdentityFunction],
     ):
         self.rule = rule
@@ -139,6 +154,8 @@ class JoinNode(NetworkNode):
         self.tests: List[Test] = []
         self.completed: Dict[Hashable, None] = {}
         self.shares_events = shares_events
+        self._has_instants = has_instants
+        self._can_be_both_operands = shares_events and (operator.can_share_event or has_instants)
         self.span: Optional[int] = None
         self.retained_matches = RetainedMatches(self.right_buffer, right.accepts)
 
@@ -171,7 +188,20 @@ class JoinNode(NetworkNode):
             if negation.uses_frontiers() and all(source.startswith("lv[") for source in sources):
                 left_positions = [int(source[3:-1]) for source in sources]
                 sweeps.append(RuledOutSweep(self.left_buffer, negation, left_positions))
+        if not self.operator.completes_in_any_order:
+            sweeps += self._overlap_sweeps()
         return sweeps
+
+    def _overlap_sweeps(self) -> Iterator[OverlapSweep]:
+        """Yield the sweeps for ``without``."""
+        for negation, _ in self.deferred_negations:
+            if isinstance(negation, OverlapBuffer) and negation.uses_frontiers():
+                positions_in_pair = [position for _, position in negation.shared]
+                sources = self.value_sources + [""] * len(self.vars)
+                is_of_left = all(sources[position].startswith("lv[") for position in positions_in_pair)
+                if negation.is_on_own_interval and is_of_left:
+                    left_positions = [int(sources[position][3:-1]) for position in positions_in_pair]
+                    yield OverlapSweep(self.left_buffer, negation, left_positions)
 
     def set_span(self, span: Optional[int], retention: Optional[int]) -> None:
         """Set the interval bound and the retention time; see `NetworkNode.set_span`."""
@@ -180,6 +210,8 @@ class JoinNode(NetworkNode):
         accepts_late = self.rule.options.out_of_order
         for negation in self.negations:
             negation.buffer.retention = retention_for_late(span, retention) if accepts_late else retention
+        for negation, _ in self.deferred_negations:
+            negation.set_span(span, retention)
 
     @property
     def completed_keys(self) -> List[Hashable]:
@@ -284,7 +316,12 @@ class JoinNode(NetworkNode):
         )
         if retains_right:
             right = right._replace(store=self.retained_matches.add)
-        if self.shares_events and options.policy.replaces_identical and (is_unordered or accepts_late):
+        # With instants, the event of a late right operand may also complete a left one that precedes it. Unless all
+        # combinations are results, an event is stored only after it was tried at both operands.
+        completes_before_stored = options.policy.replaces_identical or (
+            self._has_instants and accepts_late and options.policy.consumes_partners
+        )
+        if self.shares_events and completes_before_stored and (is_unordered or accepts_late):
             right = right._replace(store=self._store_later)
         return right
 
@@ -324,9 +361,7 @@ class JoinNode(NetworkNode):
                 else left_action
             )
         # `and` with one event in both operands: each event may complete one pair only.
-        completed_events = (
-            self.completed if self.shares_events and is_unordered and operator.can_share_event else None
-        )
+        completed_events = self.completed if self._can_be_both_operands and is_unordered else None
         _bind(
             self.right,
             join_one_partner(right, policy.prefers_newest, True, emit, completed_events),
@@ -432,7 +467,7 @@ class JoinNode(NetworkNode):
             "        return None",
         ]
         # `and` of two different events: one event may not be both operands.
-        if operator.can_share_event and self.shares_events:
+        if self._can_be_both_operands:
             lines += ["    if l.event is not None and l.event == r.event:", "        return None"]
         lines += [f"    start = {operator.start}", f"    end = {operator.end}"]
         if self.span is not None:

@@ -61,6 +61,7 @@ from ..matches.match_types import (
     unify_sides,
     unify_values,
 )
+from ..matches.negation import LATE_START_RETENTION_NANOSECONDS
 from ..matches.network_options import NetworkOptions
 from ..streams.aggregates import SequenceAggregate
 from .condition_placement import RepetitionItems, append_item
@@ -216,10 +217,12 @@ class KleeneValues(NetworkNode):
         aggregate = self.aggregate
         if aggregate is not None:
             try:
-                value = aggregate.result(run.state)
+                value = aggregate.result(run.state, run.last - run.end)
             except RuleError as error:
                 # The repetition is part of the run: with further ones, the run may have a result again.
                 self.rule.network.report_rule_error(self.rule, error)
+                return None
+            if value is None:
                 return None
             if self.free_vars:
                 result_values, value = self._bind_free_vars(run, result_values, value)
@@ -270,6 +273,7 @@ class KleeneNode(KleeneValues):
         first: node of P.
         repeated: node of Q.
         shares_events: whether one event may be in both.
+        has_instants: whether P or Q contains instants of matches, so that one event could be both.
         identity_functions: functions that return the identity of the matches of P and of Q.
         shared_vars: variables that occur more than once in the rule.
 
@@ -291,6 +295,7 @@ class KleeneNode(KleeneValues):
         first: NetworkNode,
         repeated: NetworkNode,
         shares_events: bool,
+        has_instants: bool,
         identity_functions: Tuple[IdentityFunction, IdentityFunction],
         shared_vars: AbstractSet[Var],
     ):
@@ -299,6 +304,7 @@ class KleeneNode(KleeneValues):
         self._identify_first, self._identify_repeated = identity_functions
         self._shared_vars = shared_vars
         self.shares_events = shares_events
+        self._can_be_both_operands = shares_events and has_instants
         position_in_first, position_in_repeated = positions(first.vars), positions(repeated.vars)
         self.join_positions = tuple(
             (position, position_in_repeated[var])
@@ -326,6 +332,10 @@ class KleeneNode(KleeneValues):
         self.span = span
         self.buffer.retention = retention
         self.repetition_buffer.retention = retention
+        # A start emits its first result however late it arrives.
+        late_retention = None if retention is None else retention + LATE_START_RETENTION_NANOSECONDS
+        for negation, _ in self.deferred_negations:
+            negation.set_span(span, late_retention)
 
     def buffer_checks(self, saved: State) -> List[MatchCheck]:
         """See `NetworkNode.buffer_checks`."""
@@ -371,9 +381,15 @@ class KleeneNode(KleeneValues):
         self.extend_run = (
             self._extend_and_record if options.tracks_events and self.deferred_negations else self.extend
         )
+        if self._can_be_both_operands:
+            self.extend_run = _require_other_event(self.extend_run)
         self.consumes_partners = policy.consumes_partners
         self.accepts_late_starts = options.out_of_order
-        self.defers_storage = self.accepts_late_starts and self.shares_events and policy.replaces_identical
+        self.defers_storage = (
+            self.accepts_late_starts
+            and self.shares_events
+            and (policy.replaces_identical or self._can_be_both_operands)
+        )
         revises = options.emits_revisions and not self.accepts_late_starts
         self.retains_repetitions, self.joins_in_order = (
             revises and self.first_can_be_revived,
@@ -653,3 +669,17 @@ class KleeneNode(KleeneValues):
             if skip_state is None or skip_state.accepts_start(result.start)
             else frame
         )
+
+
+_ExtendRun = Callable[[Any, PartialMatch, bool], Tuple[bool, Optional[PartialMatch]]]
+
+
+def _require_other_event(extend_run: _ExtendRun) -> _ExtendRun:
+    """Return a function like `KleeneNode.extend` that rejects a repetition that is the single event of the start."""
+
+    def extend(run: Run, match: PartialMatch, shares_values: bool) -> Tuple[bool, Optional[PartialMatch]]:
+        if run.first.event is not None and run.first.event == match.event:
+            return False, None
+        return extend_run(run, match, shares_values)
+
+    return extend

@@ -16,6 +16,7 @@ from ..dispatch.dispatcher import Dispatcher
 from ..dispatch.listeners import TERM
 from ..language.pattern_tree import RuleDefinition
 from ..language.rule_heads import is_absolute_alarm
+from ..matches.match_types import PartialMatch, event_matches
 from ..matches.network_options import NetworkOptions
 from ..matches.watermarks import Watermarks
 from ..streams.stream_operators import KeyBounds
@@ -186,7 +187,7 @@ class NetworkContext:
         self.failed_retraction_count += 1
         occurrence_count = self.failed_retraction_count
         if occurrence_count & (occurrence_count - 1) == 0:
-            prefix = "" if rule is None else f"{rule.name}: "
+            prefix = "" if rule is None else f"rule {rule.name}: "
             text = (
                 f"{prefix}rev retracts nothing: no event {self.logic.brief(term)} that still holds is known"
             )
@@ -213,7 +214,7 @@ class NetworkContext:
         if context is not None:
             subject = f"event {self.logic.brief(context[TERM])}"
         context_text = f", at {subject}" if subject else ""
-        self.on_error(RuleError(f"{rule.name}{context_text}: {error.message}", rule.place))
+        self.on_error(RuleError(f"rule {rule.name}{context_text}: {error.message}", rule.place))
 
     def report_result_error(self, rule: "EventRule", key_values: Values, error: RuleError) -> None:
         """Report an error that prevented a result of a window; it names the key if the clock has ended the window."""
@@ -227,12 +228,27 @@ class NetworkContext:
             goal_text = self.logic.brief(goal, names=rule.definition.names)
             self.report_rule_error(rule, RuleError(f"goal {goal_text}: {error.message}"))
 
-    def report_dropped(self, rule: "EventRule", max_runs: int = 0) -> None:
-        """Report that partial matches of a rule were dropped, or more than ``max_runs`` runs from one start."""
+    def report_dropped(
+        self, rule: "EventRule", max_runs: int = 0, excluding: Optional[PartialMatch] = None
+    ) -> None:
+        """Report that partial matches of a rule were dropped, or more than ``max_runs`` runs from one start.
+
+        Args:
+            rule: the rule.
+            max_runs: maximum number of runs; 0 if the limit of partial matches was exceeded.
+            excluding: the dropped match, if it belongs to a negated pattern.
+        """
+        # The description takes longer than a drop, and most drops are not logged.
+        if rule.dropped_count & (rule.dropped_count - 1):
+            return
         text = (
             f" has more than {self.max_stored} partial matches; "
             f"{rule.dropped_count} of the oldest have been dropped so far"
         )
+        if excluding is not None:
+            terms = [match.term for match in event_matches(excluding) if match.term is not None]
+            event = f" {self.logic.brief(terms[-1])}" if terms else ""
+            text += f", and the last one is a negated event{event}: results that it excludes may be emitted"
         if max_runs:
             text = (
                 f" has more than {max_runs} ways to take its steps from one start; "
@@ -256,6 +272,9 @@ class NetworkContext:
         if count & (count - 1) == 0:
             self.on_warning(
                 RecurringWarning(
-                    f"{rule.name}{text}", rule.place, (rule.name, rule.place, category), count_occurrences
+                    f"rule {rule.name}{text}",
+                    rule.place,
+                    (rule.name, rule.place, category),
+                    count_occurrences,
                 )
             )

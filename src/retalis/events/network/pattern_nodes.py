@@ -53,7 +53,13 @@ from ..matches.consumption_policy import Emit
 from ..matches.expiration import Retention
 from ..matches.match_buffer import MatchBuffer
 from ..matches.match_types import ComputedValues, IdentityWithValues, PartialMatch, identity
-from ..matches.negation import DeferredNegations, NegatedNode, NegationBuffer, RuledOutSweep
+from ..matches.negation import (
+    LATE_MATCH_RETENTION_NANOSECONDS,
+    DeferredNegations,
+    NegatedNode,
+    NegationBuffer,
+    RuledOutSweep,
+)
 from ..matches.network_options import NetworkOptions
 from .goal_evaluation import RuleGoal, Test
 from .lineage_graph import MatchOrPair
@@ -260,7 +266,10 @@ class NetworkNode(StateOwner):
         return NOTHING
 
     def accepts_group(self, group: RunGroup) -> bool:
-        """Return whether a run group is one of this node, with at least one run."""
+        """Return whether a run group is one of this node.
+
+        A group without runs is not a group of the node any more, but entries of retractable events may refer to it.
+        """
         return False
 
     def has_entry(self, owner: object, entry: object) -> bool:
@@ -457,11 +466,76 @@ class BindNode(NetworkNode):
         self.child.bind(on_match, options)
 
 
-class OrNode(NetworkNode):
-    """Emits the matches of all branches; variables of the other branches remain unbound."""
+class InstantNode(NetworkNode):
+    """Passes on each match with the interval of one instant: its end or its start.
 
-    def __init__(self, children: Sequence[NetworkNode], shared_vars: AbstractSet[Var]):
+    The match of a single event remains one: it is never both operands of a pair.
+    """
+
+    def __init__(self, child: NetworkNode, at_end: bool):
+        self.child = child
+        self.at_end = at_end
+        self.vars = list(child.vars)
+
+    def bind(self, emit: Emit, options: NetworkOptions) -> None:
+        """Connect the node; see `NetworkNode.bind`."""
+
+        def on_match_at_end(match: PartialMatch, frame: Frame) -> Frame:
+            end = match.end
+            return emit(PartialMatch(match.values, end, end, match.event, None, (match,)), frame)
+
+        def on_match_at_start(match: PartialMatch, frame: Frame) -> Frame:
+            start = match.start
+            return emit(PartialMatch(match.values, start, start, match.event, None, (match,)), frame)
+
+        self.child.bind(on_match_at_end if self.at_end else on_match_at_start, options)
+
+
+class EndNode(NetworkNode):
+    """Passes on each match of the pattern of a ``without`` with the interval of its end, and its start as a value.
+
+    Matches expire by their starts, but one that overlaps a later match is needed until its end.
+    """
+
+    def __init__(self, child: NetworkNode):
+        self.child = child
+        self.vars = [*child.vars, Var()]
+
+    def accepts(self, match: PartialMatch) -> bool:
+        """See `NetworkNode.accepts`."""
+        if not super().accepts(match):
+            return False
+        start = match.values[-1]
+        return start.__class__ is int and start <= match.end == match.start
+
+    def bind(self, emit: Emit, options: NetworkOptions) -> None:
+        """Connect the node; see `NetworkNode.bind`."""
+
+        def on_match(match: PartialMatch, frame: Frame) -> Frame:
+            end = match.end
+            values = (*match.values, int(match.start))
+            return emit(PartialMatch(values, end, end, match.event, None, (match,)), frame)
+
+        self.child.bind(on_match, options)
+
+
+class OrNode(NetworkNode):
+    """Emits the matches of all branches; variables of the other branches remain unbound.
+
+    Args:
+        children: the nodes of the branches.
+        shared_vars: variables that occur more than once in the rule.
+        match_counts: numbers of the matches of the branches, which are incremented; None to count none.
+    """
+
+    def __init__(
+        self,
+        children: Sequence[NetworkNode],
+        shared_vars: AbstractSet[Var],
+        match_counts: Optional[List[int]] = None,
+    ):
         self.children = children
+        self._match_counts = match_counts
         emitted_vars: Dict[Var, None] = {}
         for child in children:
             for var in child.vars:
@@ -485,7 +559,15 @@ class OrNode(NetworkNode):
                 PartialMatch(ordered_values, match.start, match.end, match.event, None, (index, match)), frame
             )
 
-        return on_match
+        counts = self._match_counts
+        if counts is None:
+            return on_match
+
+        def count_match(match: PartialMatch, frame: Frame) -> Frame:
+            counts[index] += 1
+            return on_match(match, frame)
+
+        return count_match
 
 
 class ActionNode(NetworkNode):
@@ -631,20 +713,37 @@ class NotNode(NetworkNode):
 
 
 class EarlyTestNode(NetworkNode):
-    """Tests a deferred negation on the matches that bind all of its variables; others are tested further up.
+    """Tests a ``without``, or a deferred negation on the matches that bind all of its variables.
 
-    Attributes:
-        test: the test; see `compile_early_test`.
+    Args:
+        rule: the rule that it belongs to.
+        child: node of the pattern.
+        test: the test; see `compile_early_test` and `compile_overlap_test`.
         deferred_negations: negation buffers of the test, with the nodes of their negated patterns.
     """
 
-    test: Test
-
-    def __init__(self, rule: "EventRule", child: NetworkNode):
+    def __init__(
+        self, rule: "EventRule", child: NetworkNode, test: Test, deferred_negations: DeferredNegations
+    ):
         self.rule = rule
         self.child = child
-        self.deferred_negations: DeferredNegations = []
+        self.test = test
+        self.deferred_negations = deferred_negations
         self.vars = child.vars
+        # Set for nodes whose matches are within the interval of the rule's match.
+        self.tests_label_window = False
+
+    def set_span(self, span: Optional[int], retention: Optional[int]) -> None:
+        """Set the interval bound; see `NetworkNode.set_span`."""
+        # A session window emits a match long after its end, so the bound of its interval alone is not enough.
+        lateness = None if span is None else max(span, LATE_MATCH_RETENTION_NANOSECONDS)
+        for negation, _ in self.deferred_negations:
+            negation.set_span(span, lateness)
+
+    def clear(self) -> None:
+        """See `NetworkNode.clear`."""
+        for negation, _ in self.deferred_negations:
+            negation.clear()
 
     def bind(self, emit: Emit, options: NetworkOptions) -> None:
         """Connect the node; see `NetworkNode.bind`."""

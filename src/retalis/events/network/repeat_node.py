@@ -105,8 +105,10 @@ class RepeatNode(NetworkNode):
         field("run_groups", sequence_of(reference("run group"))),
         field("separate_lengths", lambda node: mapping_of(KEY, sequence_of(integer(1, node.times - 1)))),
         constraint(
-            "run groups of this node",
-            lambda node, state: all(group.node is node for group in state["run_groups"]),
+            "run groups of this node, with at least one run",
+            lambda node, state: all(
+                group.node is node and group.has_stored_cursor() for group in state["run_groups"]
+            ),
         ),
     )
 
@@ -251,7 +253,6 @@ class RepeatNode(NetworkNode):
         ]
         return (
             len(group.cursors) < self.times
-            and bool(numbered_cursors)
             and all(self._accepts_cursor(number, cursor) for number, cursor in numbered_cursors)
             and all(map(self.child.accepts, group.log.items))
         )
@@ -511,6 +512,7 @@ class RepeatNode(NetworkNode):
                     None,
                     (),
                     True,
+                    False,
                     self._identity_functions_for(length),
                 )
                 left.left_buffer = self._buffer(length)

@@ -290,6 +290,10 @@ class RunGroup:
         """True if the sequences belong to a negated pattern."""
         return self.node.is_negated
 
+    def has_stored_cursor(self) -> bool:
+        """Return whether a sequence is stored in the group."""
+        return any(cursor is not None and cursor.buffer is self for cursor in self.cursors)
+
     def cursor_with(self, length: int) -> Optional[RunCursor]:
         """Return the sequence with ``length`` repetitions, or None."""
         if length > len(self.cursors):

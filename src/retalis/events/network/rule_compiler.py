@@ -14,7 +14,7 @@ operands receive events before left ones, so that an event completes a match bef
 """
 
 from functools import partial
-from typing import TYPE_CHECKING, Dict, List, Optional, Sequence, Set, Tuple, TypeVar, Union
+from typing import TYPE_CHECKING, Dict, List, NamedTuple, Optional, Sequence, Set, Tuple, TypeVar, Union
 
 from ...foundation.errors import RuleError
 from ...prolog.terms.term_traversal import variables
@@ -27,8 +27,11 @@ from ..language.pattern_tree import (
     AggregatePattern,
     ConditionPattern,
     EventPattern,
+    InstantPattern,
     KleenePattern,
+    NegationScope,
     NotPattern,
+    NotPrecededPattern,
     OrPattern,
     PairPattern,
     Pattern,
@@ -39,22 +42,25 @@ from ..language.pattern_tree import (
     bound_by,
     occurrences,
 )
-from ..matches.expiration import UNLIMITED, Retention
+from ..matches.expiration import UNLIMITED, Retention, smaller_bound
 from ..matches.negation import DeferredNegations
 from ..streams.aggregates import SequenceAggregate
 from .condition_placement import (
     BuiltPattern,
     DeferredCondition,
     NegatedPattern,
+    OverlapCondition,
     RepetitionItems,
     TestedCondition,
     UnwrappedPattern,
     VarSet,
     compile_deferred_test,
     compile_early_test,
+    compile_overlap_test,
     create_negation_buffer,
     find_condition_vars,
     find_shared_vars,
+    has_instants,
     may_be_revived,
     may_share_event,
     order_by_result_use,
@@ -70,9 +76,11 @@ from .pattern_nodes import (
     BindNode,
     BoundedNode,
     EarlyTestNode,
+    EndNode,
     EventNode,
     FilterNode,
     IdentityFunction,
+    InstantNode,
     MatchKeys,
     NetworkNode,
     NotNode,
@@ -87,6 +95,20 @@ if TYPE_CHECKING:
 
 
 N = TypeVar("N", bound=NetworkNode)
+
+
+class SplitConditions(NamedTuple):
+    """The conditions of a pattern.
+
+    Attributes:
+        conditions: all conditions in order, deferred ones as `DeferredCondition`.
+        deferred: the deferred ones alone.
+        negated: the negated patterns of ``without``.
+    """
+
+    conditions: List[TestedCondition]
+    deferred: List[DeferredCondition]
+    negated: List[NegatedPattern]
 
 
 class RuleCompiler(StreamCompiler):
@@ -130,10 +152,25 @@ class RuleCompiler(StreamCompiler):
                 leaf.rank = first_leaf.rank
         node = root = built.node
         # Filters and goals of the whole pattern see only complete matches, so they test the window of the label.
-        while isinstance(node, (ActionNode, FilterNode)):
+        while isinstance(node, (ActionNode, FilterNode, EarlyTestNode)):
             node.tests_label_window = True
             node = node.child
+        self._limit_parts(root)
         return root
+
+    def _limit_parts(self, root: NetworkNode) -> None:
+        """Apply the window of the label to each ``without`` whose interval is a part of that of the rule's match."""
+        nodes = [root]
+        while nodes:
+            node = nodes.pop()
+            if isinstance(node, EarlyTestNode):
+                node.tests_label_window = True
+            if isinstance(node, (ActionNode, FilterNode, EarlyTestNode, BindNode, NotNode)):
+                nodes.append(node.child)
+            elif isinstance(node, OrNode):
+                nodes += node.children
+            elif isinstance(node, JoinNode):
+                nodes += (node.left, node.right)
 
     def _build(self, pattern: Pattern, context: VarSet, retention: Retention) -> BuiltPattern:
         """Build a pattern.
@@ -174,7 +211,11 @@ class RuleCompiler(StreamCompiler):
             built = BuiltPattern(leaf, [], [], [leaf])
         elif isinstance(pattern, OrPattern):
             branches = [self._build(branch, context, retention) for branch in pattern.branches]
-            node: NetworkNode = OrNode([branch.node for branch in branches], self.shared_vars)
+            node: NetworkNode = OrNode(
+                [branch.node for branch in branches],
+                self.shared_vars,
+                None if self.rule.use_counts is None else self.rule.use_counts.branch_counts(pattern),
+            )
             deferred = [condition for branch in branches for condition in branch.deferred]
             joined_leaves = [leaf for branch in branches for leaf in branch.joined_leaves]
             single_leaves = [leaf for branch in branches for leaf in branch.single_leaves]
@@ -184,8 +225,12 @@ class RuleCompiler(StreamCompiler):
             )
         elif isinstance(pattern, NotPattern):
             built = self._build_not(pattern, context, retention)
-        elif isinstance(pattern, (WindowPattern, RatePattern, AbsencePattern)):
+        elif isinstance(pattern, (WindowPattern, RatePattern, AbsencePattern, NotPrecededPattern)):
             built = self._build_stream(pattern, context, retention.max_interval)
+        elif isinstance(pattern, InstantPattern):
+            # A bound above limits the time between instants, not the intervals of the matches below.
+            below = self._build(pattern.pattern, context, UNLIMITED)
+            built = below._replace(node=self._add(InstantNode(below.node, pattern.at_end), None, UNLIMITED))
         else:
             assert isinstance(pattern, ActionPattern)
             below = self._build(pattern.pattern, context, retention)
@@ -196,7 +241,7 @@ class RuleCompiler(StreamCompiler):
                 self.shared_vars,
             )
             built = below._replace(node=self._add(node, None, retention))
-        return self._add_filter(built, unwrapped, context)
+        return self._add_filter(built, unwrapped, context, retention.max_interval)
 
     def _build_repeat(self, repeated: RepeatedPattern, context: VarSet, retention: Retention) -> BuiltPattern:
         """Build a repeated pattern, by a `RepeatNode` if possible, else written out as a sequence."""
@@ -213,7 +258,10 @@ class RuleCompiler(StreamCompiler):
                 node = self._add(repeat_node, None, retention)
                 return BuiltPattern(node, [], built.leaves, [])
             del self.nodes[node_count:]
-        return self._build(repeated.as_sequence(), context, retention)
+        sequence = repeated.as_sequence()
+        if self.rule.use_counts is not None:
+            self.rule.use_counts.add_repetitions(repeated, sequence)
+        return self._build(sequence, context, retention)
 
     def _bindable_vars(self, pattern: Pattern) -> VarSet:
         """Return the variables that a match of a pattern may bind; cached for the parts of a sequence."""
@@ -235,50 +283,108 @@ class RuleCompiler(StreamCompiler):
         self.nodes.append(BoundedNode(node, span, retention))
         return node
 
-    def _add_filter(self, built: BuiltPattern, unwrapped: UnwrappedPattern, context: VarSet) -> BuiltPattern:
-        """Add a node with the conditions of an event, ``or`` or action above its node."""
-        conditions, newly_deferred = self._split(unwrapped.conditions, unwrapped.pattern, context)
+    def _add_filter(
+        self,
+        built: BuiltPattern,
+        unwrapped: UnwrappedPattern,
+        context: VarSet,
+        max_interval: Optional[int],
+    ) -> BuiltPattern:
+        """Add nodes with the conditions of a pattern above its node, unless it is a pair or a repetition.
+
+        Args:
+            built: result of building the pattern without its conditions.
+            unwrapped: the pattern.
+            context: variables of the patterns to its left.
+            max_interval: longest interval of a useful match, in ns; None for no bound.
+        """
+        if isinstance(unwrapped.pattern, WindowPattern):
+            max_interval = smaller_bound(max_interval, unwrapped.pattern.window.max_duration)
+        conditions, newly_deferred, negated = self._split(
+            unwrapped.conditions, unwrapped.pattern, context, built.deferred
+        )
         node = built.node
         for deferred in newly_deferred:
             node = self._add_bind_node(node, deferred)
         value_vars: List[Var] = node.vars
         tests: List[Test] = []
         for condition in conditions:
-            # The deferred conditions of one event, ``or`` or action are goals, which have no negation buffers.
-            compiled_test = self._compile_test([], condition, value_vars)
-            if compiled_test is not None:
+            negations: DeferredNegations = []
+            # A repetition ends with the event that completes it; other matches may come from a window.
+            expects_late = not isinstance(unwrapped.pattern, RepeatedPattern)
+            compiled_test = self._compile_test(negations, condition, value_vars, expects_late)
+            if compiled_test is None:
+                continue
+            if negations:
+                # A negation needs a node that can try again after a retraction; the tests so far stay below it.
+                if tests:
+                    node = self._add(FilterNode(node, value_vars, tests, self.shared_vars), None, UNLIMITED)
+                    tests = []
+                early_test = EarlyTestNode(self.rule, node, compiled_test[0], negations)
+                node = self._add(early_test, max_interval, UNLIMITED)
+            else:
                 tests.append(compiled_test[0])
                 value_vars = compiled_test[1]
         if tests or unwrapped.span is not None:
             node = self._add(FilterNode(node, value_vars, tests, self.shared_vars), unwrapped.span, UNLIMITED)
-        return built._replace(node=node, deferred=[*built.deferred, *newly_deferred])
+        built = built._replace(node=node, deferred=[*built.deferred, *newly_deferred])
+        return built.with_leaves_before(negated) if negated else built
 
     def _split(
-        self, conditions: List[ConditionPattern], pattern: Pattern, context: VarSet
-    ) -> Tuple[List[TestedCondition], List[DeferredCondition]]:
+        self,
+        conditions: List[Union[ConditionPattern, NotPattern]],
+        pattern: Pattern,
+        context: VarSet,
+        deferred_below: Sequence[DeferredCondition],
+    ) -> SplitConditions:
         """Divide the conditions of a pattern into those that it can test and those that are deferred.
 
-        Returns:
-            All conditions in order, deferred ones as `DeferredCondition`, and the deferred ones alone.
+        Args:
+            conditions: the conditions.
+            pattern: the pattern, without the conditions.
+            context: variables of the patterns to its left.
+            deferred_below: conditions below that are tested further up.
         """
         if not conditions:
-            return [], []
+            return SplitConditions([], [], [])
         assigned: List[TestedCondition] = []
+        negated_patterns: List[NegatedPattern] = []
+        # A deferred goal binds its variables further up only.
+        unbound_vars = {
+            var for below in deferred_below if below.goal is not None for var in variables(below.goal)
+        }
         # A variable that only some branches bind counts as unbound: the condition must then wait for the left
         # operand.
         known_vars = always_bound_by(pattern, False, True)
         for condition in conditions:
+            if isinstance(condition, NotPattern):
+                inner_context = context | frozenset(bound_by(condition.pattern))
+                negated = self._make_negated(condition, inner_context, UNLIMITED)
+                negated_patterns.append(negated)
+                missing_vars = negated.find_missing_vars(context | unbound_vars, known_vars)
+                assigned.append(
+                    self._defer(missing_vars, negated=negated, scope=NegationScope.OVERLAP)
+                    if missing_vars
+                    else OverlapCondition(negated, frozenset(negated.mentioned_vars()))
+                )
+                continue
             goal_vars = set(variables(condition.goal))
             missing_vars = (goal_vars & context) - known_vars
             if missing_vars:
-                assigned.append(self._defer(missing_vars, condition.goal, condition.timed))
+                assigned.append(self._defer(missing_vars, condition))
+                unbound_vars |= goal_vars
             else:
                 assigned.append(condition)
                 known_vars |= goal_vars
-        return assigned, [condition for condition in assigned if isinstance(condition, DeferredCondition)]
+        deferred = [condition for condition in assigned if isinstance(condition, DeferredCondition)]
+        return SplitConditions(assigned, deferred, negated_patterns)
 
     def _compile_test(
-        self, negations: DeferredNegations, condition: TestedCondition, value_vars: List[Var]
+        self,
+        negations: DeferredNegations,
+        condition: TestedCondition,
+        value_vars: List[Var],
+        expects_late: bool = False,
     ) -> Optional[Tuple[Test, List[Var]]]:
         """Return the test of a condition at a node and the variables after it; None if it cannot be tested there.
 
@@ -288,6 +394,7 @@ class RuleCompiler(StreamCompiler):
             negations: receives the negation buffers of the condition.
             condition: the condition.
             value_vars: variables of the node.
+            expects_late: whether the node emits matches long after their ends.
         """
         if isinstance(condition, DeferredCondition):
             return (
@@ -295,28 +402,28 @@ class RuleCompiler(StreamCompiler):
                 if condition.may_be_testable(value_vars)
                 else None
             )
+        if isinstance(condition, OverlapCondition):
+            test = compile_overlap_test(self.rule, negations, condition, value_vars, expects_late)
+            return test, value_vars
         rule_goal = RuleGoal(self.rule, condition.goal, value_vars)
-        return compile_condition_test(rule_goal, condition.timed, None), rule_goal.result_vars
+        return compile_condition_test(rule_goal, condition, None), rule_goal.result_vars
 
     def _defer(
         self,
         required_vars: Set[Var],
-        goal: Optional[Term] = None,
-        uses_interval: bool = False,
+        condition: Optional[ConditionPattern] = None,
         negated: Optional[NegatedPattern] = None,
+        scope: NegationScope = NegationScope.BEFORE,
     ) -> DeferredCondition:
-        """Return a condition that is tested further up: a goal, or a negation without a first operand."""
+        """Return a condition that is tested further up: a goal, ``without``, or a negation of all earlier matches."""
         start, end = Var(), Var()
         self.shared_vars |= {start, end}
         # Matches may differ in the node that binds these variables.
-        if goal is not None:
-            mentioned = variables(goal)
+        if condition is not None:
+            mentioned = variables(condition.goal)
             self.shared_vars.update(mentioned)
             self._match_keys.passed_on_vars.update(mentioned)
-        # Without a first operand, the gap of a negation has no beginning.
-        return DeferredCondition(
-            required_vars, goal, uses_interval, start, end, negated, is_unbounded=negated is not None
-        )
+        return DeferredCondition(required_vars, condition, start, end, negated, scope)
 
     def _add_bind_node(self, node: NetworkNode, deferred: DeferredCondition) -> NetworkNode:
         """Add a node that passes on the interval of a match, for a condition."""
@@ -354,7 +461,9 @@ class RuleCompiler(StreamCompiler):
         testable, deferred = (
             split_testable(deferred_below, always_bound, context) if deferred_below else ([], [])
         )
-        conditions, newly_deferred = self._split(unwrapped.conditions, pair, context)
+        conditions, newly_deferred, overlap_negated = self._split(
+            unwrapped.conditions, pair, context, deferred
+        )
         negated: Optional[NegatedPattern] = None
         required_vars: Set[Var] = set()
         if unwrapped.negated is not None:
@@ -378,6 +487,7 @@ class RuleCompiler(StreamCompiler):
             gap,
             [(condition.start, condition.end) for condition in newly_deferred],
             may_share_event(left, right),
+            has_instants(pair),
             (self._identity_function(left, pair.left), self._identity_function(right, pair.right)),
         )
         node.left_can_be_revived = may_be_revived(pair.left)
@@ -385,24 +495,32 @@ class RuleCompiler(StreamCompiler):
         self._add(node, unwrapped.span, retention)
         if negated is not None and gap is None:
             built = negated.next_copy()
-            node.add_negation(create_negation_buffer(self.rule, built, node.vars, False), built.node)
+            negation = create_negation_buffer(self.rule, built, node.vars, NegationScope.BETWEEN)
+            node.add_negation(negation, built.node)
         self._test_joined(node, deferred_below, testable, conditions)
         deferred += newly_deferred
         if negated is not None and gap is not None:
             deferred += self._test_gap(
-                node, DeferredCondition(required_vars, None, False, *gap, negated), conditions
+                node, DeferredCondition(required_vars, None, *gap, negated), conditions
             )
         joined_leaves = order_for_dispatch(PAIR_OPERATORS[pair.operator].completes_in_any_order, left, right)
         if negated is not None:
             joined_leaves += negated.first.leaves
-        return BuiltPattern(node, deferred, joined_leaves, [])
+        return BuiltPattern(node, deferred, joined_leaves, []).with_leaves_before(overlap_negated)
 
     def _make_negated(
-        self, pattern: Union[NotPattern, AbsencePattern], context: VarSet, retention: Retention
+        self,
+        pattern: Union[NotPattern, AbsencePattern, NotPrecededPattern],
+        context: VarSet,
+        retention: Retention,
     ) -> NegatedPattern:
-        return NegatedPattern(
-            lambda: self._build(pattern.negated, context, retention), self.copies, self.nodes
-        )
+        def build() -> BuiltPattern:
+            built = self._build(pattern.negated, context, retention)
+            if isinstance(pattern, NotPattern) and pattern.scope is NegationScope.OVERLAP:
+                return built._replace(node=self._add(EndNode(built.node), None, UNLIMITED))
+            return built
+
+        return NegatedPattern(build, self.copies, self.nodes)
 
     def _test_joined(
         self,
@@ -426,9 +544,7 @@ class RuleCompiler(StreamCompiler):
         self, node: JoinNode, gap_condition: DeferredCondition, conditions: Sequence[TestedCondition]
     ) -> List[DeferredCondition]:
         """Test a negation with conditions on outer variables, or return it for the nodes above."""
-        if not gap_condition.required_vars - find_condition_vars(
-            [test for test in conditions if isinstance(test, ConditionPattern)]
-        ):
+        if not gap_condition.required_vars - find_condition_vars(conditions):
             # The conditions of the pair bind all of its variables.
             node.add_test(
                 *compile_deferred_test(self.rule, node.deferred_negations, gap_condition, node.vars)
@@ -449,7 +565,7 @@ class RuleCompiler(StreamCompiler):
         # The negated pattern needs no variables from further left, so it is tested directly above its pattern.
         if not missing_vars:
             built = negated.next_copy()
-            negation = create_negation_buffer(self.rule, built, below.node.vars, True)
+            negation = create_negation_buffer(self.rule, built, below.node.vars, NegationScope.BEFORE)
             node: NetworkNode = self._add(
                 NotNode(self.rule, below.node, built.node, negation), None, UNLIMITED
             )
@@ -457,8 +573,9 @@ class RuleCompiler(StreamCompiler):
         gap_condition = self._defer(missing_vars, negated=negated)
         node = self._add_bind_node(below.node, gap_condition)
         if gap_condition.may_be_testable(node.vars):
-            node = self._add(EarlyTestNode(self.rule, node), None, UNLIMITED)
-            node.test, _ = compile_early_test(self.rule, node.deferred_negations, gap_condition, node.vars)
+            negations: DeferredNegations = []
+            test, _ = compile_early_test(self.rule, negations, gap_condition, node.vars)
+            node = self._add(EarlyTestNode(self.rule, node, test, negations), None, UNLIMITED)
         return below.with_negated(node, [*below.deferred, gap_condition], negated.first)
 
     def _build_kleene(
@@ -482,6 +599,7 @@ class RuleCompiler(StreamCompiler):
             first.node,
             repeated.node,
             may_share_event(first, repeated),
+            has_instants(kleene),
             identity_functions,
             self.shared_vars,
         )
@@ -515,7 +633,9 @@ class RuleCompiler(StreamCompiler):
             )
         else:
             node.set_result_layout(outside_vars, None, None, passed_on_items)
-        conditions, newly_deferred = self._split(unwrapped.conditions, unwrapped.pattern, context)
+        conditions, newly_deferred, overlap_negated = self._split(
+            unwrapped.conditions, unwrapped.pattern, context, deferred
+        )
         for condition in newly_deferred:
             node.add_interval_vars(condition.start, condition.end)
         for condition in first.deferred:
@@ -529,7 +649,7 @@ class RuleCompiler(StreamCompiler):
                 node.add_test(*compiled_test, uses_result)
         return BuiltPattern(
             node, [*deferred, *newly_deferred], [*repeated.leaves, *first.joined_leaves], first.single_leaves
-        )
+        ).with_leaves_before(overlap_negated)
 
     def _find_outside_vars(self, pattern: Pattern, values: Sequence[Term] = ()) -> Set[Var]:
         """Return the variables that are used in the rule outside of a pattern and of the given terms."""
@@ -538,10 +658,12 @@ class RuleCompiler(StreamCompiler):
 
     def _sequence_aggregate(self, aggregate: AggregatePattern, value_vars: List[Var]) -> SequenceAggregate:
         if aggregate.value is None:
-            return SequenceAggregate(aggregate.kind, lambda values: NIL, lambda term, values: term)
+            return SequenceAggregate(aggregate.kind, None, lambda values: NIL, lambda term, values: term)
+        evaluators = Evaluators(self.rule)
         value = compile_builder(aggregate.value, value_vars, "value of an aggregate")
         return SequenceAggregate(
             aggregate.kind,
+            evaluators.compile_setting(aggregate.kind, aggregate.setting),
             value,
-            Evaluators(self.rule).compile_expression(aggregate.kind, aggregate.value, value_vars),
+            evaluators.compile_expression(aggregate.kind, aggregate.value, value_vars),
         )

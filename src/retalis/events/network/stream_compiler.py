@@ -10,36 +10,43 @@ operator itself (`streams`), and a function that makes values from its results.
   (DEFINE) of the row pattern variables to an NFA.
 * ``P with S``: rate operators such as throttle and debounce.
 * ``P seq absent(Q, N)``: a timeout that a match of Q cancels.
+* ``P with not_preceded(Q, N)``: a filter that a match of Q closes for some time.
 """
 
 from fractions import Fraction
 from functools import partial
 from typing import TYPE_CHECKING, Any, Callable, Dict, Hashable, List, Optional, Sequence, Set, Tuple, Union
 
-from ...foundation.errors import RuleError
+from ...foundation.errors import RuleError, shorten
+from ...prolog.syntax.term_writer import write_term
 from ...prolog.terms.list_terms import make_list
 from ...prolog.terms.term_traversal import positions, resolve, variables
-from ...prolog.terms.timestamps import SECOND
-from ...prolog.terms.types import Term, Values, Var
+from ...prolog.terms.timestamps import MAX_TIMESTAMP, SECOND
+from ...prolog.terms.types import Atom, Term, Values, Var
 from ...prolog.terms.unification import undo, unify
 from ..dispatch.matcher_compiler import compile_builder
 from ..fused.fused_window import FusedWindow, has_fused_measures
 from ..language.pattern_tree import (
     AbsencePattern,
+    ConditionPattern,
+    NegationScope,
+    NotPattern,
+    NotPrecededPattern,
     Pattern,
     RatePattern,
     RowPatternStep,
     WindowPattern,
     WindowSpec,
+    WithinPattern,
     always_bound_by,
     bound_by,
 )
-from ..language.stream_parser import split_condition
+from ..language.stream_parser import NOT_PRECEDED, positive_nanoseconds, split_condition
 from ..matches.expiration import UNLIMITED, Retention
 from ..matches.match_buffer import key_function
 from ..matches.match_types import PartialMatch, unify_sides
 from ..matches.network_options import NetworkOptions
-from ..streams.absence_timeout import AbsenceTimeout, Correlation
+from ..streams.absence_timeout import AbsenceTimeout, ComputedAbsenceTimeout, Correlation, NotPrecededFilter
 from ..streams.aggregates import AGGREGATES
 from ..streams.rate_operators import RATE_OPERATORS
 from ..streams.row_pattern import (
@@ -49,6 +56,7 @@ from ..streams.row_pattern import (
     StepNavigation,
     StepTest,
 )
+from ..streams.session_window import SessionWindow
 from ..streams.stream_operators import StreamElement, StreamOperator
 from ..streams.windows import (
     AlignedTumblingWindow,
@@ -148,6 +156,9 @@ _WINDOWS: Dict[str, Callable[[Any, Any], StreamOperator]] = {
         AlignedTumblingWindow(make_accumulators, window.span)
         if window.running
         else HoppingWindow(make_accumulators, window.span, window.step)
+    ),
+    "session": lambda make_accumulators, window: SessionWindow(
+        make_accumulators, window.gap, window.max_length
     ),
 }
 # Reports of events that arrive too late.
@@ -252,7 +263,7 @@ def compile_window_spec(
             any(variable.tests or variable.until for variable in nfa.steps),
         )
     create_operator = partial(_WINDOWS[window.kind], make_accumulators, window)
-    uses_clock = window.kind == "first" or (window.kind == "every" and not window.running)
+    uses_clock = window.kind in ("first", "session") or (window.kind == "every" and not window.running)
     calls_goals, fusible_window = (
         "fold" in window_pattern.kinds,
         _find_fusible_window(window_pattern, position_of, key_vars),
@@ -334,17 +345,33 @@ def _accumulator_factory(
     return lambda: [make_accumulator() for make_accumulator in accumulator_factories]
 
 
+def _timeout_of(position: int, match: PartialMatch) -> int:
+    """Return the time in ns of a match whose value at a position is a number of seconds.
+
+    Raises:
+        RuleError: if it is not a positive number, or too large.
+    """
+    seconds = match.values[position]
+    nanoseconds = positive_nanoseconds(seconds)
+    if nanoseconds is None:
+        text = f"{'the atom ' if seconds.__class__ is Atom else ''}'{shorten(write_term(seconds, quoted=False))}'"
+        raise RuleError(f"absent: the time is {text}: expected a positive number of seconds")
+    if nanoseconds > MAX_TIMESTAMP:
+        raise RuleError(f"absent: the time is longer than {MAX_TIMESTAMP // SECOND:.1e} seconds")
+    return nanoseconds
+
+
 def compile_absence_spec(
-    span: int,
+    pattern: Union[AbsencePattern, NotPrecededPattern],
     value_vars: Sequence[Var],
     negated_vars: Sequence[Var],
     condition: Optional[Callable[[Values, PartialMatch], bool]],
     identity_of: Callable[[PartialMatch], Hashable],
 ) -> StreamNodeSpec:
-    """Return the specification of a node of ``P seq absent(Q, N)``.
+    """Return the specification of a node of ``P seq absent(Q, N)`` or ``P with not_preceded(Q, N)``.
 
     Args:
-        span: the time that must pass, in ns.
+        pattern: the pattern.
         value_vars: variables of P's matches.
         negated_vars: variables of Q's matches.
         condition: tests the values of P and a match of Q, if Q has conditions on P; else None.
@@ -373,11 +400,24 @@ def compile_absence_spec(
         correlation = Correlation(
             key_of, cancels, condition is None, identity_of if options.policy.replaces_identical else None
         )
+        span = pattern.span
+        if isinstance(pattern, NotPrecededPattern):
+            return NotPrecededFilter(pattern.span, max_length(pattern.pattern), correlation)
+        if isinstance(span, Var):
+            return ComputedAbsenceTimeout(correlation, partial(_timeout_of, position_of[span]))
         return AbsenceTimeout(span, correlation)
 
+    uses_clock = isinstance(pattern, AbsencePattern)
     return StreamNodeSpec(
-        create_operator, lambda values: ((), ()), None, True, _LATE_FOR_ABSENCE, condition is not None
+        create_operator, lambda values: ((), ()), None, uses_clock, _LATE_FOR_ABSENCE, condition is not None
     )
+
+
+def max_length(pattern: Pattern) -> int:
+    """Return the longest interval of a match in ns, as far as a ``within`` states it; 0 if it is unknown."""
+    while isinstance(pattern, (ConditionPattern, NotPattern)):
+        pattern = pattern.pattern
+    return pattern.span if isinstance(pattern, WithinPattern) else 0
 
 
 def _compile_values_builder(terms: Sequence[Term], value_vars: Sequence[Var]) -> Callable[[Values], Values]:
@@ -448,12 +488,14 @@ class StreamCompiler:
     def _find_outside_vars(self, pattern: Pattern, values: Sequence[Term]) -> Set[Var]:
         raise NotImplementedError
 
-    def _make_negated(self, pattern: AbsencePattern, context: VarSet, retention: Retention) -> NegatedPattern:
+    def _make_negated(
+        self, pattern: Union[AbsencePattern, NotPrecededPattern], context: VarSet, retention: Retention
+    ) -> NegatedPattern:
         raise NotImplementedError
 
     def _build_stream(
         self,
-        pattern: Union[WindowPattern, RatePattern, AbsencePattern],
+        pattern: Union[WindowPattern, RatePattern, AbsencePattern, NotPrecededPattern],
         context: VarSet,
         max_interval: Optional[int],
     ) -> BuiltPattern:
@@ -464,8 +506,8 @@ class StreamCompiler:
             context: variables of the patterns to its left.
             max_interval: longest interval of a useful match, in ns; None for no bound.
         """
-        if isinstance(pattern, AbsencePattern):
-            return self._build_absence(pattern, context)
+        if isinstance(pattern, (AbsencePattern, NotPrecededPattern)):
+            return self._build_absence(pattern, context, max_interval)
         input_pattern = pattern.collected if isinstance(pattern, WindowPattern) else pattern.pattern
         below = self._build(input_pattern, context, UNLIMITED)
         # A window has no partner further left at the time when its elements are measured, so such conditions cannot
@@ -506,26 +548,43 @@ class StreamCompiler:
         )
         return BuiltPattern(node, [], below.leaves, [])
 
-    def _build_absence(self, pattern: AbsencePattern, context: VarSet) -> BuiltPattern:
-        """Build a pattern after which another one must not happen for some time."""
+    def _build_absence(
+        self,
+        pattern: Union[AbsencePattern, NotPrecededPattern],
+        context: VarSet,
+        max_interval: Optional[int],
+    ) -> BuiltPattern:
+        """Build a pattern after which, or before which, another one must not happen for some time."""
+        name = "absent" if isinstance(pattern, AbsencePattern) else NOT_PRECEDED.name
         below = self._build(pattern.pattern, context, UNLIMITED)
         inner_context = context | frozenset(bound_by(pattern.pattern))
         negated = self._make_negated(pattern, inner_context, UNLIMITED)
         always_bound = always_bound_by(pattern.pattern, False, True)
         value_vars = below.node.vars
+        deferred_goals = [condition.goal for condition in below.deferred if condition.goal is not None]
+        if isinstance(pattern.span, Var) and (
+            pattern.span not in value_vars
+            or (
+                pattern.span not in always_bound
+                and any(pattern.span in variables(goal) for goal in deferred_goals)
+            )
+        ):
+            message = "the time of absent depends on a condition that uses a pattern to the left of it"
+            raise RuleError(message, self.rule.place)
         # The timeout has no left operand whose variables could become known later.
         if negated.find_missing_vars(inner_context, set(value_vars)) | negated.find_missing_vars(
             context, always_bound
         ):
-            message = "the pattern of absent uses a variable that the pattern before it does not bind"
+            message = f"the pattern of {name} uses a variable that the pattern before it does not bind"
             raise RuleError(message, self.rule.place)
         built = negated.next_copy()
-        negation = create_negation_buffer(self.rule, built, value_vars, False)
+        negation = create_negation_buffer(self.rule, built, value_vars, NegationScope.BETWEEN)
         identity_of = self._match_keys.identity_function(value_vars, pattern.pattern)
-        spec = compile_absence_spec(
-            pattern.span, value_vars, built.node.vars, negation.condition, identity_of
-        )
+        spec = compile_absence_spec(pattern, value_vars, built.node.vars, negation.condition, identity_of)
         node = StreamNode(self.rule, [below.node, built.node], value_vars, spec, pattern)
         node.deferred_negations = negation.deferred_negations
+        if isinstance(pattern, NotPrecededPattern):
+            self._add(node, None, Retention(max_interval, max_interval))
+            return below._replace(node=node).with_leaves_before([negated])
         self._add(node, None, UNLIMITED)
         return BuiltPattern(node, below.deferred, [*negated.first.leaves, *below.leaves], [])

@@ -673,6 +673,8 @@ class StreamNode(NetworkNode):
     def on_alarm(self, instant: int, frame: Frame) -> Frame:
         """Return the frame that emits the outputs that are due, and continues with ``frame``."""
         self.alarm_instant = None
+        # The event before is complete. A session ends after events that it precedes, which it may need as partners.
+        self.rule.store_deferred()
         # Results that are due belong to no event; skipped matches are discarded before they are emitted.
         if self.rule.skip_state is not None:
             self.rule.skip_state.begin_alarm()

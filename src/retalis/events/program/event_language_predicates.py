@@ -319,5 +319,5 @@ class _QueryPredicates:
     def print_partial_matches(self, machine: Machine) -> bool:
         logic = self.rules.logic
         for rule in self.rules.rules:
-            logic.output(f"{rule.name}: {rule.match_count} partial matches\n")
+            logic.output(f"rule {rule.title}: {rule.match_count} partial matches\n")
         return True

@@ -97,11 +97,37 @@ def _find_text(files: SourceFiles, name: Term) -> Tuple[Path, str]:
     return path, files.text(path)
 
 
+class GoalLines(NamedTuple):
+    """A goal, or the error in its place, with the indexes of its first line and of the line after it."""
+
+    goal: ReadResult
+    start: int
+    end: int
+
+
+ReadLines = Callable[[str, int], ReadTerm]
+"""Reads a text that is one term; takes the text and the number of its first line."""
+
+
 def read_goals(text: str, operators: Operators, source: str) -> Iterator[ReadResult]:
-    """Yield the goals of a goal file, or a `SyntaxFault` for each text that is not a goal.
+    """Yield the goals of a goal file, or a `SyntaxFault` for each text that is not a goal."""
+
+    def read_lines(part: str, first_line: int) -> ReadTerm:
+        return read_term(part, operators, source, first_line=first_line)
+
+    for goal_lines in read_goal_lines(text, read_lines):
+        yield goal_lines.goal
+
+
+def read_goal_lines(text: str, read_lines: ReadLines) -> Iterator[GoalLines]:
+    """Yield the goals of a goal file with their lines.
 
     A line is a goal if it reads as a term, with or without a full stop. Otherwise the goal continues to a line that
     ends in a full stop.
+
+    Args:
+        text: text of the file.
+        read_lines: reads the text of lines.
     """
     lines = text.split("\n")
     position = stop_position = 0
@@ -110,24 +136,22 @@ def read_goals(text: str, operators: Operators, source: str) -> Iterator[ReadRes
         if _is_blank(lines[position]):
             position += 1
             continue
-        goal = _parse_lines(lines, position, position + 1, operators, source)
+        goal = _parse_lines(lines, position, position + 1, read_lines)
         end = position + 1
         if isinstance(goal, SyntaxFault) and characters_left > 0:
             stop_position = max(stop_position, end)
             while stop_position < len(lines) and not _ends_goal(lines[stop_position]):
                 stop_position += 1
             if stop_position < len(lines):
-                longer_goal = _parse_lines(lines, position, stop_position + 1, operators, source)
+                longer_goal = _parse_lines(lines, position, stop_position + 1, read_lines)
                 # If the longer text also has an error, but beyond its first line, the lines belong together.
                 if not isinstance(longer_goal, SyntaxFault) or _line_number(longer_goal) > position + 1:
                     goal, end = longer_goal, stop_position + 1
                 else:
                     characters_left -= sum(map(len, lines[position : stop_position + 1]))
-        yield (
-            _add_full_stop_advice(goal, lines, position)
-            if isinstance(goal, SyntaxFault) and end == position + 1
-            else goal
-        )
+        if isinstance(goal, SyntaxFault) and end == position + 1:
+            goal = _add_full_stop_advice(goal, lines, position)
+        yield GoalLines(goal, position, end)
         position = end
 
 
@@ -156,9 +180,9 @@ def _line_number(fault: SyntaxFault) -> int:
     return 0 if fault.place is None else fault.place.line
 
 
-def _parse_lines(lines: List[str], start: int, end: int, operators: Operators, source: str) -> ReadResult:
+def _parse_lines(lines: List[str], start: int, end: int, read_lines: ReadLines) -> ReadResult:
     try:
-        return read_term("\n".join(lines[start:end]), operators, source, first_line=start + 1)
+        return read_lines("\n".join(lines[start:end]), start + 1)
     except SyntaxFault as fault:
         return fault
 

@@ -25,20 +25,68 @@ from ...foundation.errors import (
     suggest_file,
 )
 from ...foundation.ros_name_checks import ros1_type_name, topic_fault, type_fault
+from ...foundation.similar_names import did_you_mean
+from ...foundation.unsaved_files import unsaved_text
+from ...messages.action_events import ACTION_EVENTS, ActionEvent, event_name
+from ...messages.type_definition import QUOTED_STRINGS, STRING_FORMS, functor_name
 from ..language.event_declarations import event_name_error
 
 GOALS = "goalPredicates.txt"
 TOPICS = "pub_sub.xml"
 RULES = "eventRules.txt"
 
+ROOT_ELEMENT = "publish_subscribe"
+"""Root element of ``pub_sub.xml``."""
+
 QUALITY_ATTRIBUTES = ("reliability", "durability", "depth")
-"""Attributes of both elements for the quality of service of ROS 2; ROS 1 has none."""
+"""Attributes of elements for topics, for the quality of service of ROS 2; ROS 1 has none."""
+
+SUBSCRIBE, PUBLISH = "subscribe_to", "publish_to"
+OBSERVE_ACTION, OBSERVE_SERVICE = "observe_action", "observe_service"
+
+SERVICE_EVENTS = "/_service_event"
+"""Suffix of the topic on which ROS 2 publishes the events of a service."""
 
 ATTRIBUTES = {
-    "subscribe_to": ("name", "msg_type", "event", *QUALITY_ATTRIBUTES),
-    "publish_to": ("name", "msg_type", "latch", *QUALITY_ATTRIBUTES),
+    SUBSCRIBE: ("name", "msg_type", "event", *QUALITY_ATTRIBUTES),
+    PUBLISH: ("name", "msg_type", "latch", *QUALITY_ATTRIBUTES),
+    OBSERVE_ACTION: ("name", "action_type", "event"),
+    OBSERVE_SERVICE: ("name", "srv_type", "event"),
 }
-"""Elements of ``pub_sub.xml`` with their attributes."""
+"""Elements of ``pub_sub.xml`` with their attributes; the first two are required."""
+
+ATTRIBUTE_VALUES: Dict[str, Tuple[str, ...]] = {
+    "latch": ("true", "false"),
+    "reliability": ("reliable", "best_effort", "auto"),
+    "durability": ("transient_local", "volatile", "auto"),
+    "depth": ("auto",),
+}
+"""Words that attributes of ``pub_sub.xml`` may have as values; a depth may also be a number."""
+
+ROOT_ATTRIBUTES = {"strings": STRING_FORMS}
+"""Attributes of the root element with their values; all are optional, and the first value is the default."""
+
+
+class ElementSuffixes(NamedTuple):
+    """Suffixes of the name, the type and the event that an element has for one of its topics."""
+
+    topic: str = ""
+    type: str = ""
+    event: str = ""
+
+
+ELEMENT_SUFFIXES: Dict[str, Tuple[ElementSuffixes, ...]] = {
+    SUBSCRIBE: (ElementSuffixes(),),
+    PUBLISH: (ElementSuffixes(),),
+    OBSERVE_ACTION: tuple(
+        ElementSuffixes(f"/{kind}", ActionEvent("", kind).type_name, event_name("", kind))
+        for kind in ACTION_EVENTS
+    ),
+    OBSERVE_SERVICE: (ElementSuffixes(SERVICE_EVENTS, "_Event"),),
+}
+"""Topics of the elements: of an action one for each kind of event, of a service that of its events."""
+
+_TYPE_ATTRIBUTES = frozenset(attributes[1] for attributes in ATTRIBUTES.values())
 
 MAX_QUEUE_DEPTH = 1_000_000
 """Largest number of messages that a topic may queue."""
@@ -135,6 +183,7 @@ class Topics(NamedTuple):
         events: subscribed topics with a name for their events.
         subscribed_quality: subscribed topics with demands on the quality of service.
         published_quality: published topics with such demands.
+        strings: form of strings in messages: `QUOTED_STRINGS` or `PLAIN_STRINGS`.
     """
 
     subscribed: Tuple[TopicType, ...] = ()
@@ -143,6 +192,13 @@ class Topics(NamedTuple):
     events: Tuple[TopicEvent, ...] = ()
     subscribed_quality: Tuple[TopicQuality, ...] = ()
     published_quality: Tuple[TopicQuality, ...] = ()
+    strings: str = QUOTED_STRINGS
+
+    def event_types(self) -> Dict[str, str]:
+        """Return the message types by the event names that the topics define."""
+        # Reversed, because the first of several entries for a topic counts.
+        types = dict(reversed(self.subscribed))
+        return {event: types[topic] for topic, event in reversed(self.events)}
 
     def event_name_of(self, topic: str, canonical_name: Callable[[str], str] = str) -> str:
         """Return the name of the events of a topic, or "" if they are named by the message type.
@@ -153,6 +209,10 @@ class Topics(NamedTuple):
         """
         canonical_topic = canonical_name(topic)
         return next((event for name, event in self.events if canonical_name(name) == canonical_topic), "")
+
+    def functor_name_of(self, topic: TopicType, canonical_name: Callable[[str], str] = str) -> str:
+        """Return the name of the functor of a topic's events; see `event_name_of`."""
+        return self.event_name_of(topic.topic, canonical_name) or functor_name(topic.type)
 
 
 def quality_of(
@@ -177,6 +237,9 @@ def read_text(path: Union[str, Path], encoding: str = "utf-8") -> str:
     Raises:
         UsageError: if it cannot be read.
     """
+    text = unsaved_text(path)
+    if text is not None:
+        return text
     try:
         return Path(path).read_text(encoding=encoding)
     except OSError as error:
@@ -205,6 +268,9 @@ def read_xml(path: Path) -> str:
     Raises:
         UsageError: if it cannot be read.
     """
+    text = unsaved_text(path)
+    if text is not None:
+        return text
     try:
         # The declaration is ASCII in each of the encodings.
         declaration = _XML_ENCODING.match(path.read_bytes()[:200].decode("latin-1"))
@@ -278,22 +344,19 @@ def direct_topics(
     return direct if isinstance(direct, tuple) else ()
 
 
-def event_types(folder: Path) -> Dict[str, str]:
-    """Return the message types by the event names that a program's topics define.
+def find_topics(folder: Path) -> Optional[Topics]:
+    """Return the topics of a program, or None if ``pub_sub.xml`` is invalid or missing.
 
-    Empty if ``pub_sub.xml`` is invalid or missing; the subscription of the topics reports that.
+    The subscription of the topics reports that.
     """
     try:
-        topics = read_topics(folder / TOPICS)
+        return read_topics(folder / TOPICS)
     except RetalisError:
-        return {}
-    # Reversed, because the first of several entries for a topic counts.
-    types = dict(reversed(topics.subscribed))
-    return {event: types[topic] for topic, event in reversed(topics.events)}
+        return None
 
 
 class _TopicReader:
-    """Parser of ``pub_sub.xml``: collects ``subscribe_to`` and ``publish_to`` elements at any depth, and errors."""
+    """Parser of ``pub_sub.xml``: collects the elements of `ATTRIBUTES` at any depth, and errors."""
 
     def __init__(self, source: str, text: str):
         self.source = source
@@ -306,10 +369,11 @@ class _TopicReader:
         self.parser.StartDoctypeDeclHandler = self.reject_document_type
         self.open_elements: List[Tuple[str, int]] = []
         self.has_root = False
-        self.topics_by_tag: Dict[str, List[TopicType]] = {"subscribe_to": [], "publish_to": []}
+        self.topics_by_tag: Dict[str, List[TopicType]] = {SUBSCRIBE: [], PUBLISH: []}
         self.latched: Set[str] = set()
         self.events: List[TopicEvent] = []
-        self.qualities: Dict[str, List[TopicQuality]] = {"subscribe_to": [], "publish_to": []}
+        self.qualities: Dict[str, List[TopicQuality]] = {SUBSCRIBE: [], PUBLISH: []}
+        self.strings = QUOTED_STRINGS
         self.errors = Errors()
 
     def read(self) -> Topics:
@@ -329,14 +393,15 @@ class _TopicReader:
             self.errors.append(SyntaxFault(message, self.place_at(error.lineno, error.offset)))
         if self.errors:
             raise ProgramErrors(self.errors)
-        subscribed, published = (tuple(self.topics_by_tag[tag]) for tag in ("subscribe_to", "publish_to"))
+        subscribed, published = (tuple(self.topics_by_tag[tag]) for tag in (SUBSCRIBE, PUBLISH))
         return Topics(
             subscribed,
             published,
             frozenset(self.latched),
             tuple(self.events),
-            tuple(self.qualities["subscribe_to"]),
-            tuple(self.qualities["publish_to"]),
+            tuple(self.qualities[SUBSCRIBE]),
+            tuple(self.qualities[PUBLISH]),
+            self.strings,
         )
 
     def place_at(self, line: int, offset: int) -> Place:
@@ -355,50 +420,68 @@ class _TopicReader:
         place = self.current_place()
         if len(self.open_elements) >= MAX_XML_DEPTH:
             raise SyntaxFault(f"elements are nested more than {MAX_XML_DEPTH} deep", place)
-        tag = tag if tag in self.topics_by_tag else tag[:MAX_SHOWN_CHARACTERS]
+        tag = tag if tag in ATTRIBUTES else tag[:MAX_SHOWN_CHARACTERS]
         self.open_elements.append((tag, place.line))
         if not self.has_root:
             self.has_root = True
-            if tag != "publish_subscribe":
-                self.add_error(f"the root must be <publish_subscribe>, found <{tag}>", place)
+            if tag != ROOT_ELEMENT:
+                self.add_error(f"the root must be <{ROOT_ELEMENT}>, found <{tag}>", place)
+            self.record_strings(attributes.get("strings", QUOTED_STRINGS).strip(), place)
             return
-        if tag not in self.topics_by_tag:
+        if tag not in ATTRIBUTES:
             # Elements with other names only group their contents.
-            if "msg_type" in attributes:
-                self.add_error(f"expected <subscribe_to> or <publish_to>, found <{tag}>", place)
+            if not _TYPE_ATTRIBUTES.isdisjoint(attributes):
+                known = " or ".join(f"<{name}>" for name in ATTRIBUTES)
+                self.add_error(f"expected {known}, found <{tag}>{did_you_mean(tag, ATTRIBUTES, 0.5)}", place)
             return
-        for name in ("name", "msg_type"):
-            if not attributes.get(name, "").strip():
-                self.add_error(f'<{tag}> needs {name}="..."', place)
+        self.add_element(tag, attributes, place)
+
+    def add_element(self, tag: str, attributes: Dict[str, str], place: Place) -> None:
+        """Add the topics of an element."""
+        required = ATTRIBUTES[tag][:2]
+        for attribute in required:
+            if not attributes.get(attribute, "").strip():
+                self.add_error(f'<{tag}> needs {attribute}="..."', place)
                 return
+        name, type_name = (attributes[attribute].strip() for attribute in required)
         try:
-            topic = topic_type(attributes["name"].strip(), attributes["msg_type"].strip())
+            topic, interface = topic_type(name, type_name)
+            topics = tuple(
+                topic_type(f"{topic}{suffixes.topic}", f"{interface}{suffixes.type}")
+                for suffixes in ELEMENT_SUFFIXES[tag]
+            )
         except UsageError as error:
             self.add_error(f"<{tag}>: {error.message}", place)
             return
-        if tag == "publish_to":
-            self.record_latch(topic.topic, attributes.get("latch", "false").strip(), place)
+        if tag == PUBLISH:
+            self.record_latch(name, attributes.get("latch", "false").strip(), place)
         else:
-            self.add_event_name(topic.topic, attributes.get("event"), place)
-        self.add_quality(tag, topic.topic, attributes, place)
-        self.topics_by_tag[tag].append(topic)
+            self.add_event_names(tag, topics, attributes.get("event"), place)
+        if tag in self.qualities:
+            self.add_quality(tag, name, attributes, place)
+        self.topics_by_tag[PUBLISH if tag == PUBLISH else SUBSCRIBE] += topics
 
-    def add_event_name(self, topic: str, event: Optional[str], place: Place) -> None:
-        if event is None or any(entry.topic == topic for entry in self.topics_by_tag["subscribe_to"]):
-            # Of several entries for a topic the first one counts.
+    def add_event_names(
+        self, tag: str, topics: Tuple[TopicType, ...], event: Optional[str], place: Place
+    ) -> None:
+        """Add the names of the events of an element's topics."""
+        if event is None:
             return
         error_text = event_name_error(event.strip())
-        if error_text is None:
-            self.events.append(TopicEvent(topic, event.strip()))
-        else:
-            self.add_error(f"<subscribe_to>: {error_text}", place)
+        if error_text is not None:
+            self.add_error(f"<{tag}>: {error_text}", place)
+            return
+        for (topic, _), suffixes in zip(topics, ELEMENT_SUFFIXES[tag]):
+            # Of several entries for a topic the first one counts.
+            if all(entry.topic != topic for entry in self.topics_by_tag[SUBSCRIBE]):
+                self.events.append(TopicEvent(topic, f"{event.strip()}{suffixes.event}"))
 
     def add_quality(self, tag: str, topic: str, attributes: Dict[str, str], place: Place) -> None:
         texts = {name: attributes.get(name, "auto").strip() for name in QUALITY_ATTRIBUTES}
         try:
             quality = QualityOfService(
-                _read_policy("reliability", texts["reliability"], "reliable", "best_effort"),
-                _read_policy("durability", texts["durability"], "transient_local", "volatile"),
+                _read_policy("reliability", texts["reliability"]),
+                _read_policy("durability", texts["durability"]),
                 _read_depth(texts["depth"]),
             )
         except UsageError as error:
@@ -409,21 +492,29 @@ class _TopicReader:
             self.qualities[tag].append(TopicQuality(topic, quality))
 
     def record_latch(self, topic: str, value: str, place: Place) -> None:
-        if value == "true":
+        true, false = ATTRIBUTE_VALUES["latch"]
+        if value == true:
             self.latched.add(topic)
-        elif value != "false":
-            self.add_error(f'<publish_to>: latch is "true" or "false", found "{shorten(value)}"', place)
+        elif value != false:
+            self.add_error(f'<publish_to>: latch is "{true}" or "{false}", found "{shorten(value)}"', place)
+
+    def record_strings(self, value: str, place: Place) -> None:
+        if value in STRING_FORMS:
+            self.strings = value
+        else:
+            forms = " or ".join(f'"{form}"' for form in STRING_FORMS)
+            self.add_error(f'<{ROOT_ELEMENT}>: strings is {forms}, found "{shorten(value)}"', place)
 
     def add_error(self, message: str, place: Place) -> None:
         self.errors.append(RuleError(message, place))
 
 
-def _read_policy(name: str, text: str, strict: str, lenient: str) -> Optional[bool]:
-    """Return whether a policy is the strict one; None for ``auto``."""
-    policies = {strict: True, lenient: False, "auto": None}
-    if text not in policies:
-        raise UsageError(f'{name} is {", ".join(policies)}, found "{shorten(text)}"')
-    return policies[text]
+def _read_policy(name: str, text: str) -> Optional[bool]:
+    """Return whether a policy is the strict one, which is the first of its values; None for ``auto``."""
+    values = ATTRIBUTE_VALUES[name]
+    if text not in values:
+        raise UsageError(f'{name} is {", ".join(values)}, found "{shorten(text)}"')
+    return (True, False, None)[values.index(text)]
 
 
 def _read_depth(text: str) -> Optional[int]:

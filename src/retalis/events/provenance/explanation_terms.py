@@ -22,10 +22,9 @@ from typing import (
     Union,
 )
 
-from ...prolog.terms import timestamps
 from ...prolog.terms.list_terms import make_list
 from ...prolog.terms.term_traversal import copy, resolve, variant_key
-from ...prolog.terms.timestamps import interval_term
+from ...prolog.terms.timestamps import interval_term, to_seconds
 from ...prolog.terms.types import Term, Trail, Var, atom, functor
 from ...prolog.terms.unification import undo, unify
 from ..language.pattern_tree import (
@@ -34,8 +33,11 @@ from ..language.pattern_tree import (
     AggregatePattern,
     ConditionPattern,
     EventPattern,
+    InstantPattern,
     KleenePattern,
+    NegationScope,
     NotPattern,
+    NotPrecededPattern,
     OrPattern,
     PairPattern,
     Pattern,
@@ -44,7 +46,7 @@ from ..language.pattern_tree import (
     WindowPattern,
     WithinPattern,
 )
-from ..language.stream_parser import rate_operator_term, window_term
+from ..language.stream_parser import NOT_PRECEDED, rate_operator_term, timeout_term, window_term
 from ..matches.match_types import ComputedValues, PartialMatch, RepetitionChain
 from ..network.event_rule import EventRule
 from ..network.lineage_graph import Occurrence
@@ -65,7 +67,7 @@ _MAX_SHOWN_REPETITIONS = 100
 """Maximum number of repetitions of a pattern in an explanation."""
 
 
-_StreamPattern = Union[WindowPattern, RatePattern, AbsencePattern]
+_StreamPattern = Union[WindowPattern, RatePattern, AbsencePattern, NotPrecededPattern]
 EventFormatter = Callable[[Occurrence], Term]
 """Returns the term that represents an event within the term of a match."""
 
@@ -202,7 +204,7 @@ def describe_match(pattern: Pattern, match: PartialMatch, format_event: EventFor
     """Return the term of a match: its events, represented by ``format_event``, below the names of the operators."""
     # These operators have no operands in an explanation: their match is that of the pattern below them.
     while isinstance(pattern, (ConditionPattern, WithinPattern)) or (
-        isinstance(pattern, NotPattern) and pattern.inside
+        isinstance(pattern, NotPattern) and pattern.scope is not NegationScope.BEFORE
     ):
         pattern = pattern.pattern
     if isinstance(pattern, EventPattern):
@@ -212,8 +214,10 @@ def describe_match(pattern: Pattern, match: PartialMatch, format_event: EventFor
             match = part
         return format_event(match.event) if isinstance(match.event, Occurrence) else match.term
     parts: Sequence[Any] = match.parts or ()
-    if isinstance(pattern, NotPattern):
-        return describe_match(pattern.pattern, match, format_event)
+    if isinstance(pattern, (NotPattern, InstantPattern)):
+        # The match of an instant wraps one of its pattern, as that of a condition does.
+        described = describe_match(pattern.pattern, match, format_event)
+        return described if isinstance(pattern, NotPattern) else functor(f"{pattern.operator}f", 1)(described)
     if isinstance(pattern, ActionPattern):
         return describe_match(pattern.pattern, parts[0] if _is_wrapped(parts) else match, format_event)
     while _is_wrapped(parts):
@@ -249,7 +253,7 @@ def _is_wrapped(parts: Sequence[Any]) -> bool:
 
 def _describe_repetitions(pattern: Any, parts: Sequence[Any], format_event: EventFormatter) -> Term:
     """Return the term of a match of a Kleene pattern, of an aggregate, or of a stream operator."""
-    if isinstance(pattern, (WindowPattern, RatePattern, AbsencePattern)):
+    if isinstance(pattern, (WindowPattern, RatePattern, AbsencePattern, NotPrecededPattern)):
         return _describe_stream(pattern, parts, format_event)
     first = describe_match(pattern.first, parts[0], format_event)
     # Repetitions are recorded only while lineage is tracked; otherwise the match shows its first event only.
@@ -280,9 +284,14 @@ def _describe_stream(pattern: _StreamPattern, parts: Sequence[Any], format_event
     first = describe_match(pattern.pattern, parts[0], format_event)
     if isinstance(pattern, RatePattern):
         return functor("withf", 2)(first, copy(rate_operator_term(pattern)))
-    return functor("absentf", 3)(
-        first, copy(_pattern_term(pattern.negated)), timestamps.to_seconds(pattern.span)
-    )
+    if isinstance(pattern, NotPrecededPattern):
+        return functor("withf", 2)(first, copy(_not_preceded_term(pattern)))
+    return functor("absentf", 3)(first, copy(_pattern_term(pattern.negated)), copy(timeout_term(pattern)))
+
+
+def _not_preceded_term(pattern: NotPrecededPattern) -> Term:
+    """Return the term of ``not_preceded``."""
+    return NOT_PRECEDED(_pattern_term(pattern.negated), to_seconds(pattern.span))
 
 
 def _measures_term(pattern: WindowPattern) -> Term:
@@ -302,10 +311,12 @@ def _name_and_operands(pattern: Pattern) -> "Tuple[str, List[Union[Pattern, _Quo
     """Return name and operands of a pattern in an explanation."""
     if isinstance(pattern, PairPattern):
         return f"{pattern.operator}f", [pattern.left, pattern.right]
+    if isinstance(pattern, InstantPattern):
+        return f"{pattern.operator}f", [pattern.pattern]
     if isinstance(pattern, OrPattern):
         return "orf", list(pattern.branches)
     if isinstance(pattern, NotPattern):
-        return "cnotf" if pattern.inside else "fnotf", [
+        return f"{pattern.scope.value}f", [
             pattern.pattern,
             _QuotedTerm(_pattern_term(pattern.negated)),
         ]
@@ -318,7 +329,7 @@ def _name_and_operands(pattern: Pattern) -> "Tuple[str, List[Union[Pattern, _Quo
         return "withinf", [pattern.pattern, _QuotedTerm((pattern.span + 1) / 1e9)]
     if isinstance(pattern, (ConditionPattern, ActionPattern)):
         return _name_and_operands_with_goal(pattern)
-    assert isinstance(pattern, (WindowPattern, RatePattern, AbsencePattern))
+    assert isinstance(pattern, (WindowPattern, RatePattern, AbsencePattern, NotPrecededPattern))
     return _name_and_operands_of_stream(pattern)
 
 
@@ -337,10 +348,12 @@ def _name_and_operands_of_stream(
         return "windowf", [_QuotedTerm(_measures_term(pattern)), pattern.collected, window]
     if isinstance(pattern, RatePattern):
         return "withf", [pattern.pattern, _QuotedTerm(resolve(rate_operator_term(pattern)))]
+    if isinstance(pattern, NotPrecededPattern):
+        return "withf", [pattern.pattern, _QuotedTerm(_not_preceded_term(pattern))]
     return "absentf", [
         pattern.pattern,
         _QuotedTerm(_pattern_term(pattern.negated)),
-        _QuotedTerm(timestamps.to_seconds(pattern.span)),
+        _QuotedTerm(resolve(timeout_term(pattern))),
     ]
 
 

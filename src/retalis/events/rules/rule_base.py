@@ -11,7 +11,7 @@ from ...foundation.callbacks import CallbackList
 from ...foundation.errors import RetalisError
 from ...prolog.files.source_files import SourceFiles
 from ...prolog.system.prolog_system import PrologSystem
-from ...prolog.terms.term_traversal import copy, term_key, variables
+from ...prolog.terms.term_traversal import copy, term_key
 from ...prolog.terms.timestamps import from_seconds
 from ...prolog.terms.types import Functor, Term, Trail, atom
 from ...prolog.terms.unification import unify
@@ -180,7 +180,7 @@ class RuleBase(StateOwner):
             RetalisError: if a goal or pattern cannot be compiled.
         """
         self.serial += 1
-        return EventRule(self.network, definition, self.serial, self._rule_title(definition))
+        return EventRule(self.network, definition, self.serial)
 
     def activate(self, rule: EventRule) -> None:
         """Activate a rule, so that it receives events."""
@@ -267,16 +267,6 @@ class RuleBase(StateOwner):
             for clause in predicate.active_clauses()
         ]
         return [*(rule.definition.term for rule in self.rules), *bodies]
-
-    def _rule_title(self, definition: RuleDefinition) -> str:
-        show = self.logic.brief
-        head = "(no head)"
-        # Variables of a rule that was added at run time have no names; numbered ones would differ in each message.
-        if definition.head is not None:
-            unnamed = dict.fromkeys(variables(definition.head), "_")
-            head = show(definition.head, {**unnamed, **definition.names}, is_constructed=True)
-        label = "" if definition.label is None else f"{show(definition.label)}: "
-        return f"rule {label}{head}"
 
     # ---- properties and flags ------------------------------------------------------------------------
 

@@ -2,19 +2,22 @@
 
 This operator implements ``P seq absent(Q, Seconds)``. Each match of P becomes a pending element with a deadline
 ``span`` ns after its end. A match of Q cancels the pending elements that it correlates with and lies after. If the
-deadline passes first, the pending element is emitted.
+deadline passes first, the pending element is emitted. `ComputedAbsenceTimeout` takes the time from each match of P.
 
 Events may arrive out of order, so forbidden elements are stored as well: one that arrived before the pending element
 may still lie after it in time. They are dropped when their start lies ``span`` ns or more before the latest
 ``now`` of `AbsenceTimeout.process`. For the common case of complete correlation by a key, a forbidden element is
 dropped earlier if its neighbours in time cancel every pending element that it would cancel (see
 `_ForbiddenElements`).
+
+`NotPrecededFilter` implements ``P with not_preceded(Q, Seconds)``, the absence before an element.
 """
 
 import heapq
-from typing import Any, Callable, Dict, Hashable, Iterator, List, NamedTuple, Optional, Sequence
+from bisect import bisect_left, insort
+from typing import Any, Callable, Dict, Hashable, Iterator, List, NamedTuple, Optional, Sequence, Tuple
 
-from ...prolog.terms.timestamps import BEFORE_ALL_INSTANTS
+from ...prolog.terms.timestamps import BEFORE_ALL_INSTANTS, SECOND
 from ...serialization.field_types import COUNT, INSTANT
 from ...serialization.state_fields import StateFields, constraint, field
 from .stream_operators import (
@@ -23,6 +26,7 @@ from .stream_operators import (
     DeadlineOperator,
     ElementHeap,
     StreamElement,
+    StreamOperator,
     StreamOutput,
     have_distinct_orders,
     push_element,
@@ -30,6 +34,10 @@ from .stream_operators import (
 
 _MAX_ALWAYS_COMPACTED = 32
 """Length up to which a list is compacted at every removal."""
+
+
+COMPUTED_TIMEOUT_RETENTION_NANOSECONDS = 10 * SECOND
+"""Time for which forbidden elements are stored for late elements, if each element has its own timeout."""
 
 
 class Correlation(NamedTuple):
@@ -125,10 +133,15 @@ class AbsenceTimeout(DeadlineOperator):
     def __init__(self, span: int, correlation: Correlation):
         super().__init__(span)
         self.correlation = correlation
+        self._min_span = self._forbidden_retention = span
         self._pending: Dict[Hashable, Dict[Hashable, StreamElement]] = {}
         self._forbidden: Dict[Hashable, _ForbiddenElements] = {}
         self._stored_count = 0
         self._forbidden_by_start: ElementHeap = []
+
+    def _span_of(self, element: StreamElement) -> int:
+        """Return the time in ns from the end of an element to its deadline."""
+        return self.span
 
     def __len__(self) -> int:
         return self._stored_count
@@ -152,12 +165,15 @@ class AbsenceTimeout(DeadlineOperator):
 
     def process(self, element: StreamElement, now: int, channel: int) -> List[StreamOutput]:
         """See `StreamOperator.process`."""
+        if not channel:
+            # May raise an error, so it precedes all changes of the state.
+            element.deadline = element.end + self._span_of(element)
         if now > self._latest_now:
             # The maximum, because an alarm may raise an event in the past, after elements of that time were dropped.
             self._latest_now = now
         # A pending element ends after `_latest_now - span`; otherwise its deadline has passed. A forbidden element
         # must start after that end, so older ones are useless.
-        self._drop_forbidden_before(self._latest_now - self.span)
+        self._drop_forbidden_before(self._latest_now - self._forbidden_retention)
         self._order += 1
         element.order = self._order
         key = self.correlation.key_of(element.match, channel)
@@ -166,7 +182,7 @@ class AbsenceTimeout(DeadlineOperator):
             self._cancel_pending(element, key)
             self._store_forbidden(element, key)
         # The deadline has passed: forbidden elements that would cancel this element may have been dropped already.
-        elif element.end + self.span <= self._latest_now:
+        elif element.deadline <= self._latest_now:
             self.late_count += 1
         else:
             is_replaced = self._set_pending_key(element, key)
@@ -187,6 +203,7 @@ class AbsenceTimeout(DeadlineOperator):
         self._pending, self._deadlines = {}, []
         self._stored_count = sum(forbidden.element_count for forbidden in self._forbidden.values())
         for element in elements:
+            element.deadline = element.end + self._span_of(element)
             self._set_pending_key(element, self.correlation.key_of(element.match, 0))
             self._add_pending(element)
         self._update_deadline()
@@ -219,13 +236,14 @@ class AbsenceTimeout(DeadlineOperator):
             return False
         # Pending elements of one replacement key are at least a span apart, so each has a slot of that length of its
         # own, and all that replace each other lie in neighbouring slots.
-        replacement_key, slot = replacement_key_of(element.match), element.end // self.span
+        span = element.deadline - element.end
+        replacement_key, slot = replacement_key_of(element.match), element.end // span
         element.key = (key, (replacement_key, slot))
         pending = self._pending.get(key, {})
         is_replaced = False
         for neighbour_slot in (slot - 1, slot, slot + 1):
             neighbour = pending.get((replacement_key, neighbour_slot))
-            if neighbour is None or abs(neighbour.end - element.end) >= self.span:
+            if neighbour is None or abs(neighbour.end - element.end) >= span:
                 continue
             # The order of the ends decides, not that of arrival.
             if neighbour.end <= element.end:
@@ -238,7 +256,7 @@ class AbsenceTimeout(DeadlineOperator):
         key: Any = element.key
         self._pending.setdefault(key[0], {})[key[1]] = element
         self._stored_count += 1
-        push_element(self._deadlines, element.end + self.span, element, self._stored_count)
+        push_element(self._deadlines, element.deadline, element, self._stored_count)
 
     def _drop_pending(self, element: StreamElement) -> None:
         element.is_removed = True
@@ -282,7 +300,7 @@ class AbsenceTimeout(DeadlineOperator):
 
     def _cancels(self, forbidden: StreamElement, element: StreamElement) -> bool:
         """Return whether a forbidden element lies in the span after another element and correlates with it."""
-        if not (element.end < forbidden.start and forbidden.end < element.end + self.span):
+        if not (element.end < forbidden.start and forbidden.end < element.deadline):
             return False
         correlation = self.correlation
         pending_key: Any = element.key
@@ -296,7 +314,7 @@ class AbsenceTimeout(DeadlineOperator):
         forbidden_elements = self._forbidden.setdefault(key, _ForbiddenElements())
         drops_redundant = self.correlation.key_is_sufficient and key is not None
         self._stored_count += 1
-        for redundant in forbidden_elements.add(element, self.span, drops_redundant):
+        for redundant in forbidden_elements.add(element, self._min_span, drops_redundant):
             redundant.is_removed = True
             self._stored_count -= 1
         push_element(self._forbidden_by_start, element.start, element, self._stored_count)
@@ -312,6 +330,144 @@ class AbsenceTimeout(DeadlineOperator):
                 forbidden_elements.count_removal()
                 if not forbidden_elements.element_count:
                     del self._forbidden[element.key]
+
+
+class ComputedAbsenceTimeout(AbsenceTimeout):
+    """Absence with a timeout that each element determines.
+
+    The longest time of later elements is unknown, so forbidden elements are stored for
+    `COMPUTED_TIMEOUT_RETENTION_NANOSECONDS`, and none of them makes others redundant.
+
+    Args:
+        correlation: correlation of pending and forbidden elements.
+        span_of: returns the time of a match in ns.
+
+    Raises:
+        RuleError: by ``span_of``, if the match has no valid time.
+    """
+
+    def __init__(self, correlation: Correlation, span_of: Callable[[Any], int]):
+        super().__init__(0, correlation)
+        self._forbidden_retention = COMPUTED_TIMEOUT_RETENTION_NANOSECONDS
+        self._span_of_match = span_of
+
+    def _span_of(self, element: StreamElement) -> int:
+        return self._span_of_match(element.match)
+
+
+MIN_FORBIDDEN_RETENTION_NANOSECONDS = 60 * SECOND
+"""Time for which `NotPrecededFilter` stores elements longer than its span, for elements that last or arrive late."""
+
+_StoredElement = Tuple[int, int, StreamElement]
+
+
+class NotPrecededFilter(StreamOperator):
+    """Operator that passes an element if no forbidden one has ended less than ``span`` ns before its start.
+
+    Forbidden elements are stored until no element that may still arrive starts within the span after them: for the
+    span and the longest useful element, at least for `MIN_FORBIDDEN_RETENTION_NANOSECONDS`.
+
+    Args:
+        span: the time in ns.
+        max_length: longest element, in ns; 0 if unknown.
+        correlation: correlation of elements and forbidden elements.
+    """
+
+    STATE = StateFields(
+        field("_order", COUNT),
+        field("clock", INSTANT),
+        field("forbidden_elements", FORBIDDEN_ELEMENTS),
+        constraint(
+            "elements with distinct orders",
+            lambda operator, state: have_distinct_orders(state["forbidden_elements"], state["order"]),
+        ),
+    )
+
+    # Measured as in `StreamOperator`.
+    KEY_BYTES, ELEMENT_BYTES = 300, 1000
+
+    def __init__(self, span: int, max_length: int, correlation: Correlation):
+        super().__init__()
+        self.span = span
+        self.max_length = max_length
+        self.correlation = correlation
+        self._order = 0
+        self._by_end: List[_StoredElement] = []
+        self._by_key: Dict[Hashable, List[_StoredElement]] = {}
+
+    def __len__(self) -> int:
+        return len(self._by_end)
+
+    @property
+    def keys(self) -> int:
+        """See `StreamOperator.keys`."""
+        return len(self._by_key)
+
+    def drop_oldest(self) -> List[StreamOutput]:
+        """See `StreamOperator.drop_oldest`."""
+        self._drop_first()
+        return []
+
+    def process(self, element: StreamElement, now: int, channel: int) -> List[StreamOutput]:
+        """See `StreamOperator.process`."""
+        self._advance(element.end)
+        useful_length = max(self.max_length, self._max_span or 0, MIN_FORBIDDEN_RETENTION_NANOSECONDS)
+        max_end = self.clock - self.span - useful_length
+        while self._by_end and self._by_end[0][0] <= max_end:
+            self._drop_first()
+        key = self.correlation.key_of(element.match, channel)
+        if channel:
+            self._order += 1
+            element.order = self._order
+            self._store(element, key)
+            return []
+        return (
+            [] if self._is_preceded(element, key) else [StreamOutput((element,), element.start, element.end)]
+        )
+
+    @property
+    def forbidden_elements(self) -> List[StreamElement]:
+        """The forbidden elements in order of arrival."""
+        return sorted([element for _, _, element in self._by_end], key=_arrival_order)
+
+    @forbidden_elements.setter
+    def forbidden_elements(self, elements: Sequence[StreamElement]) -> None:
+        self._by_end, self._by_key = [], {}
+        for element in elements:
+            self._store(element, self.correlation.key_of(element.match, 1))
+
+    def _store(self, element: StreamElement, key: Hashable) -> None:
+        element.key = key
+        entry = (element.end, element.order, element)
+        heapq.heappush(self._by_end, entry)
+        insort(self._by_key.setdefault(key, []), entry)
+
+    def _drop_first(self) -> None:
+        """Drop the forbidden element that ended first, which is also the first one of its key."""
+        key = heapq.heappop(self._by_end)[2].key
+        entries = self._by_key[key]
+        del entries[0]
+        if not entries:
+            del self._by_key[key]
+
+    def _is_preceded(self, element: StreamElement, key: Hashable) -> bool:
+        # A key of None may correlate with every key.
+        keys = list(self._by_key) if key is None else [key, None]
+        start, min_end = element.start, element.start - self.span
+        for candidate_key in keys:
+            entries = self._by_key.get(candidate_key, [])
+            position = bisect_left(entries, (start,)) - 1
+            is_sufficient = (
+                self.correlation.key_is_sufficient and key is not None and candidate_key is not None
+            )
+            while position >= 0 and entries[position][0] > min_end:
+                if self.meter is not None and self.meter(1):
+                    # Pattern work is stopped: an element that may be preceded must not pass.
+                    return True
+                if is_sufficient or self.correlation.cancels(element.match, entries[position][2].match):
+                    return True
+                position -= 1
+        return False
 
 
 def _arrival_order(element: StreamElement) -> int:

@@ -1,13 +1,11 @@
 """Aggregate functions: the table of all of them, and their implementations.
 
-`AGGREGATES` is read by the parser, the checks and the network. An aggregate function has up to two implementations:
+`AGGREGATES` is read by the parser, the checks and the network. An aggregate function has two implementations:
 
 * An `Accumulator` is its incremental state for a window. It is updated when an element enters or leaves the window,
   so the cost of a result does not grow with the window, except for aggregates that list their values. The structures
   that make removal possible are those of `running_statistics`.
-* A `Fold` is its form for repeated events (``P seq aggregate(K, Q, R)``), which only grow. `Fold.add` maps a state
-  and a value to the next state and never changes a state in place: partial matches with a common prefix share the
-  state of that prefix, so each of them can be extended without a copy of the collected values.
+* A `Fold` is its form for repeated events (``P seq aggregate(K, Q, R)``), see `repetition_folds`.
 
 A `ValueRule` states which values an aggregate accepts.
 
@@ -32,6 +30,7 @@ from typing import (
     Set,
     Tuple,
     Type,
+    Union,
 )
 
 from ...foundation.errors import RuleError, UsageError, format_count, shorten
@@ -48,11 +47,26 @@ from ...serialization.field_types import (
     COUNT,
     FINITE,
     ORDERED,
-    TERM,
-    FieldType,
-    nested_pairs_of,
     optional,
     tuple_of,
+)
+from .repetition_folds import (
+    CHANGES_FOLD,
+    COUNT_DISTINCT_FOLD,
+    DEVIATION_FOLD,
+    DISTINCT_FOLD,
+    FIRST_FOLD,
+    LAST_FOLD,
+    LIST_FOLD,
+    RATE_FOLD,
+    Fold,
+    add_finite,
+    choose_larger,
+    choose_smaller,
+    compute_average,
+    get_state,
+    make_quantile_fold,
+    make_user_fold,
 )
 from .running_statistics import ExactSum, LazyMinHeap, QuantileHeaps, standard_deviation
 from .stream_operators import StreamElement
@@ -649,68 +663,62 @@ class _UserFoldAccumulator(Accumulator):
         return result
 
 
-class Fold(NamedTuple):
-    """Aggregate function over a growing sequence of values.
+class _Neighbours:
+    """An element in the order of arrival: its key, and the orders of the elements before and after it."""
 
-    Attributes:
-        initial_state: state without any value.
-        state_type: type of the states, for state files.
-        empty_result: result without any value; None if there is none.
-        add: returns the state with one more value.
-        result: returns the result of a state; raises RuleError if it is too large for a float.
+    __slots__ = ("key", "previous", "following")
+
+    def __init__(self, key: Hashable, previous: Optional[int]):
+        self.key = key
+        self.previous = previous
+        self.following: Optional[int] = None
+
+
+class _ChangesAccumulator(Accumulator):
+    """Number of elements whose value differs from that of the previous element of the window.
+
+    The elements form a linked list, because an element may leave the window before older ones.
     """
 
-    initial_state: Any
-    state_type: FieldType[Any]
-    empty_result: Optional[Term]
-    add: Callable[[Any, Term], Any]
-    result: Callable[[Any], Term]
+    accepts_empty = True
 
+    def __init__(self, index: int, name: str, setting: Setting):
+        super().__init__(index, name, setting)
+        self.change_count = 0
+        self._by_order: Dict[int, _Neighbours] = {}
+        self._last_order: Optional[int] = None
 
-def _get_state(state: Term) -> Term:
-    return state
+    def add(self, element: StreamElement) -> None:
+        order = element.order
+        last = self._last_order
+        self._by_order[order] = _Neighbours(term_key(element.values[self.index]), last)
+        if last is not None:
+            self._by_order[last].following = order
+        self.change_count += self._differ(last, order)
+        self._last_order = order
 
+    def remove(self, element: StreamElement) -> None:
+        order = element.order
+        neighbours = self._by_order[order]
+        previous, following = neighbours.previous, neighbours.following
+        self.change_count += (
+            self._differ(previous, following) - self._differ(previous, order) - self._differ(order, following)
+        )
+        if previous is not None:
+            self._by_order[previous].following = following
+        if following is None:
+            self._last_order = previous
+        else:
+            self._by_order[following].previous = previous
+        del self._by_order[order]
 
-def _choose_smaller(state: Any, value: Any) -> Any:
-    return value if state is None or value < state else state
+    def _differ(self, previous: Optional[int], following: Optional[int]) -> bool:
+        if previous is None or following is None:
+            return False
+        return self._by_order[previous].key != self._by_order[following].key
 
-
-def _choose_larger(state: Any, value: Any) -> Any:
-    return value if state is None or value > state else state
-
-
-def _add_finite(state: Any, value: Any) -> Any:
-    """Return the sum of two finite numbers.
-
-    Raises:
-        OverflowError: if it is too large for a float.
-    """
-    total = state + value
-    # An infinite sum would stay infinite, whatever is added later, so it is reported instead.
-    if total.__class__ is float and not isfinite(total):
-        raise OverflowError
-    return total
-
-
-def _compute_average(state: Tuple[float, int]) -> Term:
-    total, count = state
-    # Integers whose average is an integer stay exact, as `avg` of integers of any size.
-    if total.__class__ is int and total % count == 0:
-        return total // count
-    try:
-        return total / count
-    except OverflowError:
-        raise RuleError("aggregate avg: the result is too large for a float") from None
-
-
-def _make_list_of_state(state: Any) -> Term:
-    """Return the list of a state, which is nested pairs, newest value outermost: adding takes constant time."""
-    items = []
-    while state:
-        state, value = state
-        items.append(value)
-    items.reverse()
-    return make_list(items)
+    def result(self, elements: WindowElements, count: int) -> Optional[Term]:
+        return self.change_count
 
 
 class AggregateFunction(NamedTuple):
@@ -719,16 +727,18 @@ class AggregateFunction(NamedTuple):
     Attributes:
         name: name in rules.
         notation: notation in rules; the last argument is the aggregated value.
+        words: the result in words, with the variables of the notation; Q stands for the measured pattern.
         accumulator: implementation for windows.
-        fold: implementation for repeated events; None if it is an aggregate of windows only.
+        fold: implementation for repeated events, or the function that makes it from the setting.
         has_value: whether it has an aggregated value.
         setting_count: number of arguments before the aggregated value.
     """
 
     name: str
     notation: str
+    words: str
     accumulator: Type[Accumulator]
-    fold: Optional[Fold] = None
+    fold: Union[Fold, Callable[[Setting], Fold]]
     has_value: bool = True
     setting_count: int = 0
 
@@ -756,6 +766,10 @@ class AggregateFunction(NamedTuple):
         """Return the accumulator of a window, given the index of its value in an element and its setting."""
         return self.accumulator(index, self.name, setting)
 
+    def make_fold(self, setting: Setting) -> Fold:
+        """Return the implementation for repeated events, given the setting."""
+        return self.fold if isinstance(self.fold, Fold) else self.fold(setting)
+
 
 AGGREGATES: Dict[str, AggregateFunction] = {
     function.name: function
@@ -763,112 +777,176 @@ AGGREGATES: Dict[str, AggregateFunction] = {
         AggregateFunction(
             "count",
             "count",
+            "the number of Q",
             _CountAccumulator,
             Fold(
                 initial_state=0,
                 state_type=COUNT,
                 empty_result=0,
                 add=lambda count, value: count + 1,
-                result=_get_state,
+                result=get_state,
             ),
             has_value=False,
         ),
         AggregateFunction(
             "sum",
             "sum(X)",
+            "the sum of X",
             _SumAccumulator,
             Fold(
                 initial_state=0,
                 state_type=FINITE,
                 empty_result=0,
-                add=_add_finite,
-                result=_get_state,
+                add=add_finite,
+                result=get_state,
             ),
         ),
         AggregateFunction(
             "min",
             "min(X)",
+            "the smallest X",
             _MinimumAccumulator,
             Fold(
                 initial_state=None,
                 state_type=optional(ORDERED),
                 empty_result=None,
-                add=_choose_smaller,
-                result=_get_state,
+                add=choose_smaller,
+                result=get_state,
             ),
         ),
         AggregateFunction(
             "max",
             "max(X)",
+            "the largest X",
             _MaximumAccumulator,
             Fold(
                 initial_state=None,
                 state_type=optional(ORDERED),
                 empty_result=None,
-                add=_choose_larger,
-                result=_get_state,
+                add=choose_larger,
+                result=get_state,
             ),
         ),
         AggregateFunction(
             "avg",
             "avg(X)",
+            "the average of X",
             _AverageAccumulator,
             Fold(
                 initial_state=(0, 0),
                 state_type=tuple_of(FINITE, COUNT),
                 empty_result=None,
-                add=lambda state, value: (_add_finite(state[0], value), state[1] + 1),
-                result=_compute_average,
+                add=lambda state, value: (add_finite(state[0], value), state[1] + 1),
+                result=compute_average,
             ),
         ),
-        AggregateFunction("stddev", "stddev(X)", _DeviationAccumulator),
-        AggregateFunction("median", "median(X)", _MedianAccumulator),
-        AggregateFunction("quantile", "quantile(P, X)", _QuantileAccumulator, setting_count=1),
-        AggregateFunction("first", "first(X)", _FirstAccumulator),
-        AggregateFunction("last", "last(X)", _LastAccumulator),
+        AggregateFunction(
+            "stddev",
+            "stddev(X)",
+            "the standard deviation of X",
+            _DeviationAccumulator,
+            DEVIATION_FOLD,
+        ),
+        AggregateFunction(
+            "median",
+            "median(X)",
+            "the median of X",
+            _MedianAccumulator,
+            make_quantile_fold(0.5),
+        ),
+        AggregateFunction(
+            "quantile",
+            "quantile(P, X)",
+            "the quantile P of X",
+            _QuantileAccumulator,
+            make_quantile_fold,
+            setting_count=1,
+        ),
+        AggregateFunction(
+            "first",
+            "first(X)",
+            "the first X",
+            _FirstAccumulator,
+            FIRST_FOLD,
+        ),
+        AggregateFunction(
+            "last",
+            "last(X)",
+            "the last X",
+            _LastAccumulator,
+            LAST_FOLD,
+        ),
         AggregateFunction(
             "list",
             "list(X)",
+            "the list of all X",
             _ListAccumulator,
-            Fold(
-                initial_state=(),
-                state_type=nested_pairs_of(TERM),
-                empty_result=NIL,
-                add=lambda state, value: (state, value),
-                result=_make_list_of_state,
-            ),
+            LIST_FOLD,
         ),
-        AggregateFunction("distinct", "distinct(X)", _DistinctAccumulator),
-        AggregateFunction("count_distinct", "count_distinct(X)", _CountDistinctAccumulator),
-        AggregateFunction("rate", "rate", _RateAccumulator, has_value=False),
-        AggregateFunction("fold", "fold(Init, Step, Result, X)", _UserFoldAccumulator, setting_count=3),
+        AggregateFunction(
+            "distinct",
+            "distinct(X)",
+            "the list of different X",
+            _DistinctAccumulator,
+            DISTINCT_FOLD,
+        ),
+        AggregateFunction(
+            "count_distinct",
+            "count_distinct(X)",
+            "the number of different X",
+            _CountDistinctAccumulator,
+            COUNT_DISTINCT_FOLD,
+        ),
+        AggregateFunction(
+            "changes",
+            "changes(X)",
+            "the number of changes of X",
+            _ChangesAccumulator,
+            CHANGES_FOLD,
+        ),
+        AggregateFunction(
+            "rate",
+            "rate",
+            "the number of Q per second",
+            _RateAccumulator,
+            RATE_FOLD,
+            has_value=False,
+        ),
+        AggregateFunction(
+            "fold",
+            "fold(Init, Step, Result, X)",
+            "the Result of Step over all X, from Init",
+            _UserFoldAccumulator,
+            make_user_fold,
+            setting_count=3,
+        ),
     )
 }
 """All aggregate functions by name."""
-
-
-def sequence_aggregates() -> Dict[str, AggregateFunction]:
-    """Return the aggregate functions of repeated events, by name."""
-    return {name: function for name, function in AGGREGATES.items() if function.fold is not None}
 
 
 class SequenceAggregate:
     """Aggregate over the repeated events of one rule: the function, and the access to the value in a match.
 
     Args:
-        name: name of the function, in `sequence_aggregates`.
+        name: name of the function.
+        setting: its setting.
         build_value: returns the aggregated term from the values of a match.
         evaluate: returns the number that an arithmetic expression has with the values of the match.
     """
 
     def __init__(
-        self, name: str, build_value: Callable[[Values], Term], evaluate: Callable[[Term, Values], Term]
+        self,
+        name: str,
+        setting: Setting,
+        build_value: Callable[[Values], Term],
+        evaluate: Callable[[Term, Values], Term],
     ):
         function = AGGREGATES[name]
-        # The parser accepts only functions with a fold.
-        assert function.fold is not None
+        fold = function.make_fold(setting)
         self.name = name
-        self.initial_state, self.state_type, self.empty_result, self._add, self.result = function.fold
+        self.initial_state, self.state_type, self.empty_result, self._add, self._result, _ = fold
+        self._is_per_second = fold.is_per_second
         self._check = function.value_rule.check
         self._build_value = build_value
         self._evaluate = evaluate
@@ -890,3 +968,16 @@ class SequenceAggregate:
             return self._add(state, value)
         except OverflowError:
             raise RuleError(f"aggregate {self.name}: a number is too large") from None
+
+    def result(self, state: Any, span: int) -> Optional[Term]:
+        """Return the result of a state, or None if there is none.
+
+        Args:
+            state: the state.
+            span: nanoseconds from the end of the start to the last end, more than 0 after a value was added.
+
+        Raises:
+            RuleError: if the result is too large for a float.
+        """
+        result: Optional[Any] = self._result(state)
+        return result * SECOND / span if self._is_per_second and result is not None else result

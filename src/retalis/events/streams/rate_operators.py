@@ -134,7 +134,11 @@ class LastElement(NamedTuple):
 
 
 class DistinctUntilChanged(StreamOperator):
-    """Operator that passes the first element of a key, and each element whose value differs from the previous one."""
+    """Operator that passes the elements of a key whose value differs from the previous one.
+
+    Args:
+        passes_first: whether it passes the first element of a key.
+    """
 
     STATE = StateFields(
         field(
@@ -149,6 +153,10 @@ class DistinctUntilChanged(StreamOperator):
 
     emits_stored_elements = False
     KEY_BYTES, ELEMENT_BYTES = 950, 0
+
+    def __init__(self, passes_first: bool = True):
+        super().__init__()
+        self.passes_first = passes_first
 
     def drop_oldest(self) -> List[StreamOutput]:
         """See `StreamOperator.drop_oldest`; drops the least recently used key."""
@@ -174,6 +182,8 @@ class DistinctUntilChanged(StreamOperator):
         self._store(
             value, StreamElement(None, element.start, element.end, element.key_values, element.values)
         )
+        if state is None and not self.passes_first:
+            return []
         return [StreamOutput((element,), element.start, element.end)]
 
     def return_to(self, instant: int) -> None:
@@ -340,6 +350,13 @@ RATE_OPERATORS: Dict[str, RateOperator] = {
         create=lambda span: DistinctUntilChanged(),
         is_delayed=False,
         block_reason="nothing changed",
+    ),
+    "change_after_first": RateOperator(
+        notation="change_after_first(Value) or change_after_first(Value, Key)",
+        takes_seconds=False,
+        create=lambda span: DistinctUntilChanged(passes_first=False),
+        is_delayed=False,
+        block_reason="nothing changed since the first one",
     ),
 }
 """Rate operators by name. The parser, the compiler and explanations read this table."""

@@ -4,11 +4,18 @@
   result is rounded, so errors do not build up in a window that slides for days.
 * `LazyMinHeap` is a heap with lazy deletion for minimum and maximum.
 * `QuantileHeaps` is a pair of heaps around a quantile.
+
+Repetitions only add numbers, and never change a state in place. Their states are persistent:
+
+* `SumState` is an `ExactSum` that is not changed.
+* `QuantileState` has leftist heaps (Crane, 1972): merging two heaps copies a path of logarithmic length.
+* `KeySet` consists of immutable sets of decreasing sizes (Bentley and Saxe, 1980): adding a key merges sets of equal
+  size, which takes amortised logarithmic time, as does the search in all of them.
 """
 
 import heapq
 from math import inf, isqrt, nan, sqrt
-from typing import Any, List, Optional, Tuple, Union
+from typing import Any, FrozenSet, Hashable, List, NamedTuple, Optional, Tuple, Union
 
 Number = Union[int, float]
 _MIN_EXACT_ROOT, _MAX_EXACT_ROOT = 1e-290, 1e290
@@ -70,7 +77,27 @@ class ExactSum:
         return self.total / denominator
 
 
-def standard_deviation(total: ExactSum, squares: ExactSum, count: int) -> float:
+class SumState(NamedTuple):
+    """Exact sum of numbers, as an integer over a power of two.
+
+    Attributes:
+        total: the sum times two to the power of ``scale``.
+        scale: the exponent.
+    """
+
+    total: int = 0
+    scale: int = 0
+
+    def with_fraction(self, numerator: int, bits: int) -> "SumState":
+        """Return the sum with one more number, ``numerator / 2 ** bits``."""
+        scale = max(self.scale, bits)
+        return SumState((self.total << scale - self.scale) + (numerator << scale - bits), scale)
+
+
+AnySum = Union[ExactSum, SumState]
+
+
+def standard_deviation(total: AnySum, squares: AnySum, count: int) -> float:
     """Return the standard deviation of a sample of two or more numbers, given their sum and the sum of their squares.
 
     The formula is the square root of ``(n * squares - total ** 2) / (n * (n - 1))``, computed exactly up to the root.
@@ -197,17 +224,103 @@ class QuantileHeaps:
         top = self.below.top()
         if top is None:
             return None
-        lower_value = -top[0]
         rank = self.quantile * (self.below.count + self.above.count - 1)
         fraction = rank - int(rank)
-        if not fraction:
-            return lower_value
-        entry = self.above.top()
-        # A rank between two numbers has one above it.
-        assert entry is not None
-        interpolated = lower_value + (entry[0] - lower_value) * fraction
-        # The difference is infinite for two huge numbers of opposite sign; ``inf - inf`` is nan, which differs from
-        # 0.
-        if interpolated - interpolated == 0:
-            return interpolated
-        return lower_value * (1 - fraction) + entry[0] * fraction
+        entry = self.above.top() if fraction else None
+        return _interpolate(-top[0], None if entry is None else entry[0], fraction)
+
+
+def _interpolate(lower: Number, upper: Optional[Number], fraction: float) -> Number:
+    """Return the number between two neighbours of a quantile; ``upper`` may be None if ``fraction`` is 0."""
+    # A rank between two numbers has one above it.
+    if upper is None or not fraction:
+        return lower
+    interpolated = lower + (upper - lower) * fraction
+    # The difference is infinite for two huge numbers of opposite sign; ``inf - inf`` is nan, which differs from 0.
+    return interpolated if interpolated - interpolated == 0 else lower * (1 - fraction) + upper * fraction
+
+
+LeftistHeap = Optional[Tuple[Number, int, Any, Any, int]]
+"""Number, order of its arrival, the two subheaps, and the length of the shortest path down; None is empty."""
+
+
+def _merge(first: LeftistHeap, second: LeftistHeap) -> LeftistHeap:
+    """Return a heap with the numbers of two heaps; the recursion is as deep as their shortest paths."""
+    if first is None:
+        return second
+    if second is None:
+        return first
+    if second[:2] < first[:2]:
+        first, second = second, first
+    left, right = first[2], _merge(first[3], second)
+    # The shorter path down is on the right.
+    left_length, right_length = (0 if heap is None else heap[4] for heap in (left, right))
+    if left_length < right_length:
+        left, right, right_length = right, left, left_length
+    return (first[0], first[1], left, right, right_length + 1)
+
+
+class QuantileState(NamedTuple):
+    """Heaps of the numbers up to a quantile, which are negated, and of those above it; see `QuantileHeaps`.
+
+    Attributes:
+        below: the heap of the negated numbers up to the quantile.
+        above: the heap of the numbers above it.
+        below_count: size of ``below``.
+        size: number of all numbers.
+    """
+
+    below: LeftistHeap = None
+    above: LeftistHeap = None
+    below_count: int = 0
+    size: int = 0
+
+    def with_number(self, value: Number, quantile: float) -> "QuantileState":
+        """Return the state with one more number."""
+        below, above, below_count, order = self
+        count = order + 1
+        if below is None or value <= -below[0]:
+            below, below_count = _merge(below, (-value, order, None, None, 1)), below_count + 1
+        else:
+            above = _merge(above, (value, order, None, None, 1))
+        target_count = int(quantile * (count - 1)) + 1
+        while below_count < target_count and above is not None:
+            number, order, left, right, _ = above
+            above, below = _merge(left, right), _merge(below, (-number, order, None, None, 1))
+            below_count += 1
+        while below_count > target_count and below is not None:
+            number, order, left, right, _ = below
+            below, above = _merge(left, right), _merge(above, (-number, order, None, None, 1))
+            below_count -= 1
+        return QuantileState(below, above, below_count, count)
+
+    def value(self, quantile: float) -> Optional[Number]:
+        """Return the quantile, or None if there are no numbers."""
+        if self.below is None:
+            return None
+        rank = quantile * (self.size - 1)
+        return _interpolate(-self.below[0], None if self.above is None else self.above[0], rank - int(rank))
+
+    def numbers(self) -> List[Number]:
+        """Return the numbers in order of arrival."""
+        entries: List[Tuple[int, Number]] = []
+        for sign, heap in ((-1, self.below), (1, self.above)):
+            pending = [heap]
+            while pending:
+                node = pending.pop()
+                if node is not None:
+                    entries.append((node[1], sign * node[0]))
+                    pending += [node[2], node[3]]
+        return [number for _, number in sorted(entries)]
+
+
+KeySet = Tuple[FrozenSet[Hashable], ...]
+"""Disjoint sets of keys, of decreasing sizes."""
+
+
+def add_key(keys: KeySet, key: Hashable) -> KeySet:
+    """Return the set of keys with one more, which it must not have."""
+    merged = frozenset((key,))
+    while keys and len(keys[-1]) <= len(merged):
+        merged, keys = merged | keys[-1], keys[:-1]
+    return (*keys, merged)

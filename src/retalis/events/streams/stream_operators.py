@@ -48,10 +48,11 @@ class StreamElement:
         key: hashable form of ``key_values``.
         values: processed values: one per measure of a window, or the value that may change.
         order: number in the order of arrival.
+        deadline: instant, in ns, at which an `AbsenceTimeout` emits it; unset in other operators.
         is_removed: whether the element has left its operator; containers with lazy deletion skip it.
     """
 
-    __slots__ = ("match", "start", "end", "key_values", "key", "values", "order", "is_removed")
+    __slots__ = ("match", "start", "end", "key_values", "key", "values", "order", "deadline", "is_removed")
 
     STATE = ObjectFields(
         "element",
@@ -64,6 +65,8 @@ class StreamElement:
         field("order", COUNT),
         constraint("a start before the end", lambda element: element.start <= element.end),
     )
+
+    deadline: int
 
     def __init__(self, match: Any, start: int, end: int, key_values: Values, values: Tuple[Any, ...]):
         self.match = match

@@ -6,11 +6,12 @@ they are removed, and when a result is emitted:
 * `SlidingTimeWindow` and `SlidingCountWindow` emit at each element.
 * `TumblingCountWindow` emits when it is full, or at each element (``running``).
 * `AnchoredTumblingWindow` starts at the first element of a key and emits when its time has passed.
+* `SessionWindow` in `session_window` ends when no element has followed for some time.
 * `AlignedTumblingWindow` and `HoppingWindow` are aligned to multiples of a time since 1970; the first one emits at
   each element, the second one when the clock reaches the end of a window.
 
 Elements are removed by lazy deletion: `StreamElement.is_removed` is set, and queues and heaps that index the element
-skip it. `Window._compact` compacts them when more than half of their entries were removed.
+skip it. `_SingleWindow._compact` compacts them when more than half of their entries were removed.
 """
 
 import heapq
@@ -228,7 +229,7 @@ AccumulatorFactory = Callable[[], Sequence[Accumulator]]
 
 
 class Window(StreamOperator):
-    """Base class of windows: keyed windows and their elements. See `StreamOperator`.
+    """Base class of windows: their elements, measures and stored form. See `StreamOperator`.
 
     Args:
         make_accumulators: creates the accumulators of a key.
@@ -275,7 +276,6 @@ class Window(StreamOperator):
     def __init__(self, make_accumulators: AccumulatorFactory):
         super().__init__()
         self.make_accumulators = make_accumulators
-        self.states: OrderedDict[Hashable, KeyedWindow] = OrderedDict()
         accumulators = make_accumulators()
         self._scans_window = any(measure.scans_window for measure in accumulators)
         self._measures_of_new_window = KeyedWindow(accumulators).checked_measures
@@ -285,15 +285,58 @@ class Window(StreamOperator):
     def __len__(self) -> int:
         return self.element_count
 
+    def open_windows(self, now: int) -> List[OpenWindow]:
+        """Return the windows that have elements and end after an instant; sliding windows have no end."""
+        return []
+
+    def accepts_values(self, elements: Sequence[StreamElement]) -> bool:
+        """Return True if the aggregates accept the values of elements.
+
+        Raises:
+            RuleError: if one does not.
+        """
+        for measure in self._measures_of_new_window:
+            for element in elements:
+                measure.check(element)
+        return True
+
+    def _check_alone(self, element: StreamElement) -> None:
+        """Reject an element with a value that does not fit into an empty window."""
+        for measure in self._measures_of_new_window:
+            measure.check(element)
+
+    def _number_element(self, element: StreamElement) -> None:
+        self.last_order += 1
+        element.order = self.last_order
+
+    def _emit(
+        self, keyed_window: KeyedWindow, start: Optional[int] = None, end: Optional[int] = None
+    ) -> List[StreamOutput]:
+        meter = self.meter
+        if meter is not None and meter(
+            keyed_window.element_count if self._scans_window or keyed_window.has_arrays else 1
+        ):
+            return []
+        output = keyed_window.output(self.tracks_elements, start, end)
+        return [] if output is None else [output]
+
+
+class _SingleWindow(Window):
+    """Base class of windows with one window per key at a time.
+
+    Args:
+        make_accumulators: creates the accumulators of a key.
+    """
+
+    def __init__(self, make_accumulators: AccumulatorFactory):
+        super().__init__(make_accumulators)
+        self.states: OrderedDict[Hashable, KeyedWindow] = OrderedDict()
+
     def drop_oldest(self) -> List[StreamOutput]:
         """See `StreamOperator.drop_oldest`; drops an element of the least recently used key."""
         keyed_window = next(iter(self.states.values()))
         self.remove(next(element for element in keyed_window.elements if not element.is_removed))
         self._compact()
-        return []
-
-    def open_windows(self, now: int) -> List[OpenWindow]:
-        """Return the windows that have elements and end after an instant; sliding windows have no end."""
         return []
 
     def _compact(self) -> None:
@@ -319,17 +362,6 @@ class Window(StreamOperator):
             for element in elements:
                 self._insert(element, keyed_window)
                 self._schedule_removal(element)
-
-    def accepts_values(self, elements: Sequence[StreamElement]) -> bool:
-        """Return True if the aggregates accept the values of elements.
-
-        Raises:
-            RuleError: if one does not.
-        """
-        for measure in self._measures_of_new_window:
-            for element in elements:
-                measure.check(element)
-        return True
 
     def _schedule_removal(self, element: StreamElement) -> None:
         """Index a new element by the time at which it is to be removed."""
@@ -360,11 +392,6 @@ class Window(StreamOperator):
         """Return whether all elements of a window are removed before a new element is inserted."""
         return False
 
-    def _check_alone(self, element: StreamElement) -> None:
-        """Reject an element with a value that does not fit into an empty window."""
-        for measure in self._measures_of_new_window:
-            measure.check(element)
-
     def _check_values(self, element: StreamElement) -> None:
         """Reject an element with an unsuitable value, before anything changes; see `_keyed_window_of`."""
         if element.key in self.states:
@@ -375,10 +402,6 @@ class Window(StreamOperator):
     def _clock_after(self, end: int) -> int:
         """Return the clock after an element with this end."""
         return self.clock if end <= self.clock or self._is_too_far_ahead(end) else end
-
-    def _number_element(self, element: StreamElement) -> None:
-        self.last_order += 1
-        element.order = self.last_order
 
     def _is_idle(self, keyed_window: KeyedWindow, element: StreamElement) -> bool:
         """Return whether `_most_recent_window` drops the key of an element before it returns a new window."""
@@ -432,19 +455,8 @@ class Window(StreamOperator):
         for element in keyed_window.elements:
             element.is_removed = True
 
-    def _emit(
-        self, keyed_window: KeyedWindow, start: Optional[int] = None, end: Optional[int] = None
-    ) -> List[StreamOutput]:
-        meter = self.meter
-        if meter is not None and meter(
-            keyed_window.element_count if self._scans_window or keyed_window.has_arrays else 1
-        ):
-            return []
-        output = keyed_window.output(self.tracks_elements, start, end)
-        return [] if output is None else [output]
 
-
-class SlidingTimeWindow(Window):
+class SlidingTimeWindow(_SingleWindow):
     """Window of the elements that started less than ``span`` ns before the newest end; emits at each element.
 
     Attributes:
@@ -519,8 +531,8 @@ class SlidingTimeWindow(Window):
                 self.remove(element)
 
 
-class SlidingCountWindow(Window):
-    """Window of the last ``size`` elements of each key; emits at each element."""
+class _CountWindow(_SingleWindow):
+    """Window of a number of elements of each key."""
 
     def __init__(self, make_accumulators: AccumulatorFactory, size: int):
         super().__init__(make_accumulators)
@@ -534,6 +546,10 @@ class SlidingCountWindow(Window):
     def _is_obsolete(self, keyed_window: KeyedWindow, element: StreamElement) -> bool:
         return self._is_idle(keyed_window, element)
 
+
+class SlidingCountWindow(_CountWindow):
+    """Window of the last ``size`` elements of each key; emits at each element."""
+
     def process(self, element: StreamElement, now: int, channel: int) -> List[StreamOutput]:
         """See `StreamOperator.process`."""
         keyed_window = self._most_recent_window(element)
@@ -544,21 +560,12 @@ class SlidingCountWindow(Window):
         return self._emit(keyed_window)
 
 
-class TumblingCountWindow(Window):
+class TumblingCountWindow(_CountWindow):
     """Window of ``size`` elements of each key at a time; emits when it is full, or if ``running`` at each element."""
 
     def __init__(self, make_accumulators: AccumulatorFactory, size: int, running: bool):
-        super().__init__(make_accumulators)
-        self.size = size
+        super().__init__(make_accumulators, size)
         self.running = running
-
-    def return_to(self, instant: int) -> None:
-        """See `StreamOperator.return_to`."""
-        super().return_to(instant)
-        self._limit_reference_times()
-
-    def _is_obsolete(self, keyed_window: KeyedWindow, element: StreamElement) -> bool:
-        return self._is_idle(keyed_window, element)
 
     def process(self, element: StreamElement, now: int, channel: int) -> List[StreamOutput]:
         """See `StreamOperator.process`."""
@@ -586,7 +593,7 @@ def compacted_heap(heap: List[Tuple[int, int, StreamElement]]) -> List[Tuple[int
     return present_entries
 
 
-class AnchoredTumblingWindow(Window):
+class AnchoredTumblingWindow(_SingleWindow):
     """Window of the elements that end less than ``span`` ns after the first element of their key.
 
     A window closes when the clock or the newest end reaches its end. It emits at that time, or if ``running`` at each
@@ -708,7 +715,7 @@ class AnchoredTumblingWindow(Window):
         self.next_deadline = self._open[0][0] + self.span if self._open else None
 
 
-class AlignedTumblingWindow(Window):
+class AlignedTumblingWindow(_SingleWindow):
     """Current window of ``span`` ns since 1970, by the ends of elements; emits at each element."""
 
     def __init__(self, make_accumulators: AccumulatorFactory, span: int):
@@ -762,7 +769,7 @@ def _get_order(entry: Tuple[int, int, StreamElement]) -> int:
     return entry[1]
 
 
-class HoppingWindow(Window):
+class HoppingWindow(_SingleWindow):
     """Window of the elements that ended in the last ``span`` ns; emits at multiples of ``slide`` ns since 1970."""
 
     STATE = StateFields(

@@ -504,6 +504,20 @@ def atom_string(machine: Machine, name: Term, text: Term) -> bool:
     return whole_text(text, "string") == whole_text(name, "atom")
 
 
+@deterministic("message_text/2")
+def message_text(machine: Machine, quoted: Term, text: Term) -> bool:
+    """Convert between the text of a message with double quotes inside and the text without them."""
+    value = deref(quoted)
+    if value.__class__ is Var:
+        return unify(quoted, atom(f'"{whole_text(text, "text")}"'), machine.trail)
+    name = value.name if value.__class__ is Atom else ""
+    if len(name) < 2 or not name[0] == name[-1] == '"':  # noqa: PLR2004 - two quotes
+        raise type_error("message_text", value)
+    if deref(text).__class__ is Var:
+        return unify(text, atom(name[1:-1]), machine.trail)
+    return whole_text(text, "text") == name[1:-1]
+
+
 @deterministic("string_to_atom/2")
 def string_to_atom(machine: Machine, text: Term, name: Term) -> bool:
     """Convert between a string and an atom, see ``atom_string/2``."""

@@ -4,9 +4,11 @@ Clauses are laid out as by SWI-Prolog's ``portray_clause/1``: one goal per line,
 characters, and variables named ``A``, ``B``, ... by their order. The text can be read back as the same clause.
 """
 
+import logging
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any, Callable, Dict, Iterable, Iterator, List, Optional, Tuple
 
+from ...foundation.errors import shorten
 from ..compiler.clause_nodes import ARROW, NOT, SEMICOLON, SOFT_ARROW
 from ..database.predicate import Predicate
 from ..machine.errors import ERROR, describe, indicator
@@ -69,6 +71,45 @@ def print_message_lines(machine: Machine, stream: Term, prefix: Term, lines: Ter
         else:
             texts.append(format_to_text(machine, line, atom("[]"), 0))
     write_to(machine, stream, "".join(texts))
+    return True
+
+
+# Log
+
+goal_log = logging.getLogger("retalis.goals")
+"""Log of what goals log. A node forwards it to ROS, with the level of each record."""
+
+MAX_LOGGED_CHARACTERS = 4_096
+"""Maximum length of a logged text; longer ones are shortened."""
+
+
+@deterministic("log_debug/2")
+def log_debug(machine: Machine, text_format: Term, arguments: Term) -> bool:
+    """Log a formatted text with the level DEBUG."""
+    return _log(machine, logging.DEBUG, text_format, arguments)
+
+
+@deterministic("log_info/2")
+def log_info(machine: Machine, text_format: Term, arguments: Term) -> bool:
+    """Log a formatted text with the level INFO."""
+    return _log(machine, logging.INFO, text_format, arguments)
+
+
+@deterministic("log_warn/2")
+def log_warn(machine: Machine, text_format: Term, arguments: Term) -> bool:
+    """Log a formatted text with the level WARNING."""
+    return _log(machine, logging.WARNING, text_format, arguments)
+
+
+@deterministic("log_error/2")
+def log_error(machine: Machine, text_format: Term, arguments: Term) -> bool:
+    """Log a formatted text with the level ERROR."""
+    return _log(machine, logging.ERROR, text_format, arguments)
+
+
+def _log(machine: Machine, level: int, text_format: Term, arguments: Term) -> bool:
+    text = format_to_text(machine, text_format, arguments, 0)
+    goal_log.log(level, "%s", shorten(text, MAX_LOGGED_CHARACTERS))
     return True
 
 

@@ -71,6 +71,46 @@ class Clause:
         """True if the clause is too large to be compiled; see `MAX_TERM_ARGUMENTS`."""
         return is_larger((None, self.head, self.body), MAX_TERM_ARGUMENTS)
 
+    def discard_code(self) -> None:
+        """Discard the compiled code, because a predicate that it refers to has been redefined."""
+        self.code = None
+
+
+class CountedClause(Clause):
+    """Clause that counts the calls that unify with its head, for the coverage of a program by tests.
+
+    Its code, which counts and then interprets the body, is set from the beginning. The predicate is therefore not
+    compiled, and the clause is not searched as a fact: both would pass this code by.
+
+    Attributes:
+        use_count: number of calls that have unified with its head.
+    """
+
+    __slots__ = ("use_count",)
+
+    def __init__(self, predicate: "Predicate", head: Term, body: Term, place: Optional[Place]):
+        super().__init__(predicate, head, body, place)
+        self.is_fact = self.is_ground_fact = False
+        self.use_count = 0
+        self.code = self._run
+
+    @property
+    def is_large(self) -> bool:
+        """True, so that its predicate is not compiled."""
+        return True
+
+    def discard_code(self) -> None:
+        """Keep the code, which refers to no predicate."""
+
+    def _run(self, frame: Frame) -> Optional[Frame]:
+        """Run a call, given its frame with the height of the choice point stack appended."""
+        database = self.predicate.database
+        fresh: Dict[Var, Term] = {}
+        if not match_head(frame[:-1], self, fresh, database.machine.trail):
+            return None
+        self.use_count += 1
+        return database.control.solve(copy(self.body, fresh), frame[-1], frame[-2])
+
 
 def may_match(keys: Sequence[object], head_keys: Tuple[object, ...]) -> bool:
     """Return whether the first-level keys of a call and of a clause's head agree; None agrees with any key."""

@@ -269,7 +269,7 @@ class Predicate:
             self._set_run(self._run_interpreted)
             self.call_count = 0
             for clause in self.clauses:
-                clause.code = None
+                clause.discard_code()
 
     # Reads by incremental tables
 

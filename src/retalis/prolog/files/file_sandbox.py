@@ -21,6 +21,7 @@ from ...foundation.errors import (
     quote_shortened,
     suggest_file,
 )
+from ...foundation.unsaved_files import unsaved_text
 from ..machine.errors import (
     domain_error,
     existence_error,
@@ -160,6 +161,9 @@ class FileSandbox:
         """
         folders = self._readable_folders
         real_path = _resolve_path(path, name, folders)
+        unsaved = unsaved_text(real_path)
+        if unsaved is not None:
+            return unsaved
         try:
             descriptor = _open_file(real_path, os.O_RDONLY, name, folders)
             with os.fdopen(descriptor, "rb") as file:

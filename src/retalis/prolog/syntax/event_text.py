@@ -156,14 +156,16 @@ _MAX_LOCALS = 200
 class BuilderCompiler:
     """Compiles a Python function that builds a term from its marked parts."""
 
-    def __init__(self, marks: Dict[Term, str]):
+    def __init__(self, marks: Dict[Term, str], has_plain_strings: bool):
         """Store the marks.
 
         Args:
             marks: a constant in the term -> the variable for it: ``n0``, ... for numbers; ``q0``, ``s0``, ... for
                 text.
+            has_plain_strings: whether double-quoted text is an atom without the quotes.
         """
         self._marks = marks
+        self._has_plain_strings = has_plain_strings
         self._mark_counts: Dict[str, int] = dict.fromkeys(marks.values(), 0)
         self._bound_names = codegen.BoundNames(
             {
@@ -222,7 +224,7 @@ class BuilderCompiler:
                 lines.append(f"{', '.join(names)}, = {list_name}")
             else:
                 lines.append(f"if len({list_name}) != {len(names)}: raise ValueError")
-            if list_name == "q":
+            if list_name == "q" or self._has_plain_strings and list_name == "s":
                 lines += [f"{name} = atom({name})" for name in names]
             elif list_name == "s":
                 lines += [f"{name} = atom(f'\"{{{name}}}\"')" for name in names]
@@ -345,6 +347,7 @@ SplitText = Tuple[str, List[str], List[str], List[str]]
 """Skeleton, numbers, quoted atoms, and double-quoted atoms of a text."""
 
 EVENT_TEXT = ReadFlags(event_text=True)
+_PLAIN_EVENT_TEXT = ReadFlags(event_text=True, double_quotes="atom")
 
 _NUMBER = re.compile(
     r"([(,\[|] *)"
@@ -385,15 +388,17 @@ class EventReader:
     """Reads event text; caches builders in bounded memory.
 
     Event text is Prolog text with `ReadFlags.event_text`: ``nan``, ``inf`` and ``-inf`` are floats, and ``"text"`` is
-    the atom ``'"text"'``. Not thread-safe.
+    the atom ``'"text"'``, or the atom ``text`` in programs with plain strings. Not thread-safe.
     """
 
-    def __init__(self, operators: Optional[Operators] = None):
+    def __init__(self, operators: Optional[Operators] = None, has_plain_strings: bool = False):
         """Create a reader.
 
         Args:
             operators: the operators in the texts, Prolog's by default. They must not change later.
+            has_plain_strings: whether ``"text"`` is the atom without double quotes.
         """
+        self._flags = _PLAIN_EVENT_TEXT if has_plain_strings else EVENT_TEXT
         self._operators = Operators.prolog() if operators is None else operators
         self._builders: Cache[str, Optional[Builder]] = Cache(
             _MAX_SKELETONS, _BUILDER_BYTES_PER_CHARACTER * 256_000, _BUILDER_BYTES_PER_CHARACTER * 60_000
@@ -468,14 +473,16 @@ class EventReader:
             self._reader_by_name.store(event_prefix, read_whole, len(event_prefix))
 
     def _read_fully(self, text: str) -> Term:
-        return read_term(text, self._operators, "event text", EVENT_TEXT, positions=False).term
+        return read_term(text, self._operators, "event text", self._flags, positions=False).term
 
     def _compile_builder(self, skeleton: str) -> Optional[Builder]:
         """Return a new builder for a skeleton; None if there cannot be one."""
         if len(skeleton) > _MAX_BUILDER_CHARACTERS:
             return None
         return self._builders.store(
-            skeleton, _new_builder(skeleton, self._operators), _BUILDER_BYTES_PER_CHARACTER * len(skeleton)
+            skeleton,
+            _new_builder(skeleton, self._operators, self._flags),
+            _BUILDER_BYTES_PER_CHARACTER * len(skeleton),
         )
 
 
@@ -541,20 +548,21 @@ def _join_marks(skeleton: str) -> str:
     return _ADJACENT_NUMBERS.sub(r"\1\0", skeleton)
 
 
-def _new_builder(skeleton: str, operators: Operators) -> Optional[Builder]:
+def _new_builder(skeleton: str, operators: Operators, flags: ReadFlags) -> Optional[Builder]:
     """Compile the builder of a skeleton; None if a part is not a whole argument."""
     skeleton = _join_marks(skeleton)
     if len(_WHOLE_QUOTED_ARGUMENT.findall(skeleton)) != skeleton.count("'") + skeleton.count('""'):
         return None
-    text, marks = _insert_marks(skeleton)
+    has_plain_strings = flags is _PLAIN_EVENT_TEXT
+    text, marks = _insert_marks(skeleton, has_plain_strings)
     try:
-        term = read_term(text, operators, "event text", EVENT_TEXT, positions=False).term
+        term = read_term(text, operators, "event text", flags, positions=False).term
     except SyntaxFault:
         return None
-    return BuilderCompiler(marks).compile(term)
+    return BuilderCompiler(marks, has_plain_strings).compile(term)
 
 
-def _insert_marks(skeleton: str) -> Tuple[str, Dict[Term, str]]:
+def _insert_marks(skeleton: str, has_plain_strings: bool) -> Tuple[str, Dict[Term, str]]:
     """Return the skeleton with a unique constant in each place, and the variable for each constant."""
     marks: Dict[Term, str] = {}
     counts = {"\0": 0, "'": 0, '""': 0}
@@ -568,7 +576,7 @@ def _insert_marks(skeleton: str) -> Tuple[str, Dict[Term, str]]:
             return str(_FIRST_NUMBER_MARK + number)
         variable = f"q{number}" if place == "'" else f"s{number}"
         name = f"\1{variable}"
-        marks[atom(name if place == "'" else f'"{name}"')] = variable
+        marks[atom(name if place == "'" or has_plain_strings else f'"{name}"')] = variable
         return f"'{name}'" if place == "'" else f'"{name}"'
 
     return _PLACEHOLDER.sub(mark, skeleton), marks

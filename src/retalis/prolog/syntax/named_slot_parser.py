@@ -4,6 +4,10 @@ A message with named slots is an entry of kind ``SLOTS`` on the parser's stack. 
 built with all arguments in the order of the message type: a variable for each slot that is not named, and floats in
 place of integers in float slots. `MessageTypes` provides the slots of a message type.
 
+One word between the brackets is the name of a constant of the message type: ``sensor_msgs__0__BatteryState{NAME}``
+stands for its value. In the value of a slot the type can be omitted, as that of a nested message. A constant is not
+written without brackets, because a word that begins with a capital letter is a variable.
+
 `misnamed_message_error` creates the error for a name before the bracket that is not a message type: a ROS notation
 (``Temperature``, ``sensor_msgs/Temperature``), a misspelt name, or a space before the bracket.
 """
@@ -77,10 +81,11 @@ class OpenMessage(OpenBracket):
     Attributes:
         slots: slots of the message type.
         values: by slot number, the value and its offset.
+        constants: by slot number, the text of a constant and its value.
         slot_number: number of the slot that is being read, from 1.
     """
 
-    __slots__ = ("slots", "values", "slot_number")
+    __slots__ = ("slots", "values", "constants", "slot_number")
 
     def __init__(
         self,
@@ -94,6 +99,7 @@ class OpenMessage(OpenBracket):
         super().__init__(limit, SLOTS, position, table, start, name)
         self.slots = slots
         self.values: Dict[int, Tuple[Term, int]] = {}
+        self.constants: Dict[int, Tuple[str, Term]] = {}
         self.slot_number = 0
 
     @property
@@ -120,6 +126,8 @@ class NamedSlotParser(ParserStack):
                     f"slots by name are not available here: write all slots of {name}", start
                 )
             return False
+        if self._read_constant(name, start):
+            return True
         try:
             slots = message_types.find(name)
         except RetalisError as error:
@@ -127,6 +135,39 @@ class NamedSlotParser(ParserStack):
         if slots is None:
             return False  # If the clause is invalid, `_missing_operator_error` reports the name.
         self._open_message(name, start, slots)
+        return True
+
+    def _read_constant(self, name: str, start: int) -> bool:
+        """Read a constant at its opening bracket.
+
+        Args:
+            name: name of the message.
+            start: offset of the term.
+
+        Returns:
+            Whether the brackets contain the name of a constant, and the name before is a message type.
+
+        Raises:
+            SyntaxFault: if the type has no such constant.
+        """
+        position = self.position
+        token_kind, constant, offset = self.tokens[position + 1][:3]
+        if token_kind not in (NAME, VARIABLE) or self.tokens[position + 2][0] != "}":
+            return False
+        message_types = self.operators.message_types
+        assert message_types is not None
+        try:
+            value = message_types.find_constant(name, constant, self.source.place(offset))
+        except RetalisError as error:
+            raise SyntaxFault(error.message, error.place or self.source.place(start)) from error
+        if value is None:
+            return False
+        self.position = position + 3
+        self._set_left(value, start)
+        bracket = self.brackets[-1] if self.brackets else None
+        if isinstance(bracket, OpenMessage) and self.stack[-1] is bracket:
+            text = f"{{{constant}}}" if name == bracket.name else f"{atom_text(name)}{{{constant}}}"
+            bracket.constants[bracket.slot_number] = (text, value)
         return True
 
     def _missing_operator_error(self) -> SyntaxFault:
@@ -151,6 +192,8 @@ class NamedSlotParser(ParserStack):
             return False
         if isinstance(enclosing_bracket, OpenMessage):
             slot = enclosing_bracket.current_slot
+            if not slot.message_functor and self._read_constant(enclosing_bracket.name, start):
+                return True
             if slot.is_array:
                 raise self.source.fault(f"{slot.name} is {slot.type}: expected a list of its elements", start)
         else:
@@ -161,6 +204,8 @@ class NamedSlotParser(ParserStack):
             slot = outer_bracket.current_slot
             if not slot.is_array or enclosing_bracket.has_bar:
                 return False
+            if not slot.message_functor and self._read_constant(outer_bracket.name, start):
+                return True
         if not slot.message_functor:
             raise self.source.fault(f"{slot.name} is {slot.type}, which has no slots", start)
         slots = self.operators.message_types and self.operators.message_types.find(slot.message_functor)
@@ -243,6 +288,7 @@ class NamedSlotParser(ParserStack):
         arguments: List[Any] = []
         offsets = []
         integer_slots = []
+        constants = []
         for number, slot in enumerate(slots, 1):
             value, offset = values.get(number, (None, start))
             if value is None:
@@ -256,13 +302,17 @@ class NamedSlotParser(ParserStack):
                 if value is not original_value:
                     integer_slots.append(number)
                     self._move_positions(original_value, value)
+            constant = message.constants.get(number)
+            # An operator or a list around the constant makes it a part of the value.
+            if constant is not None and values[number][0] is constant[1]:
+                constants.append((number, constant[0], value))
             arguments.append(value)
             offsets.append(offset)
         if arguments:
             term = (functor(name, len(slots)), *arguments)
             self._build(term, start, tuple(offsets))
             self.parsed_messages.append(
-                ParsedMessage(term, tuple(values), default_values, tuple(integer_slots))
+                ParsedMessage(term, tuple(values), default_values, tuple(integer_slots), tuple(constants))
             )
         else:
             self.left = atom(name)

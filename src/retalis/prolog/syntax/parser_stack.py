@@ -202,7 +202,7 @@ _FOREIGN_OPERATORS = {
     "#": '"#" is not an operator in a goal; a comment begins with %',
     "+=": "a variable keeps its value: write New is N + 1",
     "-=": "a variable keeps its value: write New is N - 1",
-    "not": "a goal is negated with \\+; the absence of an event is written with cnot or fnot",
+    "not": "a goal is negated with \\+; the absence of an event is written with cnot, fnot or without",
     "<--": "a rule's arrow is written <-",
     ".": "a full stop ends a clause only where a space or a new line follows; a number needs digits on both"
     " sides of its point",

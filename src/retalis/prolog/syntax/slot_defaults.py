@@ -6,15 +6,28 @@ values instead: zero or empty. `constructed_parts` yields the constructed parts 
 the variables in them.
 
 The parser records the notation of each message (`MessageNotation`), so that listings and explanations show the
-message as it was written.
+message as it was written, with the names of constants.
 
 An integer in a float slot denotes a float: ``{x: 0}`` matches 0.0, because ROS messages never have an integer there.
 """
 
 from math import copysign
-from typing import Callable, Dict, Iterator, List, NamedTuple, Optional, Protocol, Sequence, Set, Tuple
+from typing import (
+    Callable,
+    ContextManager,
+    Dict,
+    Iterator,
+    List,
+    NamedTuple,
+    Optional,
+    Protocol,
+    Sequence,
+    Set,
+    Tuple,
+)
 
 from ...foundation.bounded_caches import Cache
+from ...foundation.errors import Place
 from ..terms.types import CONS, CompoundTerm, Functor, Term, Var, deref, functor
 
 _ARROW = functor("<-", 2)
@@ -80,12 +93,14 @@ class MessageNotation(NamedTuple):
         named_slots: numbers of the named slots, in their written order.
         is_constructed: whether the message is constructed, so that the other slots have default values.
         integer_slots: numbers of the float slots that were written as integers.
+        constants: numbers of the slots whose value was written as a constant, with its text and value.
     """
 
     functor: Functor
     named_slots: Tuple[int, ...]
     is_constructed: bool
     integer_slots: Tuple[int, ...] = ()
+    constants: Tuple[Tuple[int, str, Term], ...] = ()
 
 
 class MessageSuggestions(NamedTuple):
@@ -112,6 +127,21 @@ class MessageTypes(Protocol):
     def find(self, name: str) -> Optional[List[MessageSlot]]:
         """Return the slots of the messages with a name, or None if it is not a message."""
 
+    def find_constant(self, name: str, constant: str, place: Place) -> Optional[Term]:
+        """Return the value of a constant of the messages with a name, or None if it is not a message.
+
+        Args:
+            name: name of the messages.
+            constant: name of the constant.
+            place: where it is named.
+
+        Raises:
+            RetalisError: if the type has no such constant, or its definition cannot be read.
+        """
+
+    def awaiting(self) -> ContextManager[Dict[str, Place]]:
+        """Return a context that accepts constants of unknown types, and collects the place of the first of each."""
+
     def suggest(self, name: str) -> MessageSuggestions:
         """Return suggestions for a name that is not a message."""
 
@@ -124,12 +154,14 @@ class ParsedMessage(NamedTuple):
         named_slots: numbers of the named slots.
         default_values: the variables of the other slots, with the values that they get in a constructed message.
         integer_slots: numbers of the float slots that were written as integers.
+        constants: see `MessageNotation`.
     """
 
     term: CompoundTerm
     named_slots: Tuple[int, ...]
     default_values: Dict[Var, Term]
     integer_slots: Tuple[int, ...]
+    constants: Tuple[Tuple[int, str, Term], ...]
 
 
 def constructed_parts(term: Term) -> Iterator[Term]:
@@ -195,7 +227,11 @@ def bind_defaults(
             for var, default in message.default_values.items():
                 var.ref = default
         notation = MessageNotation(
-            message.term[0], message.named_slots, is_message_constructed, message.integer_slots
+            message.term[0],
+            message.named_slots,
+            is_message_constructed,
+            message.integer_slots,
+            message.constants,
         )
         if notation not in message_types.notations:
             message_types.notations.store(notation, True, 8 * len(message.named_slots))

@@ -18,7 +18,7 @@ everything up to the next full stop, so they are handled separately:
   error and contains such a quote, the quote is reported, and reading continues after its line.
 """
 
-from typing import Any, Dict, Iterator, List, Optional, Tuple, Union
+from typing import Any, Dict, Iterator, List, Optional, Tuple, Type, Union
 
 from ...foundation.errors import Place, SyntaxFault
 from ..terms.types import FALSE, TRUE, Term, Var, atom, functor
@@ -434,7 +434,7 @@ class Program:
         """Parse the tokens from ``start`` to ``end``; return None if the result depends on later tokens."""
         parser = None
         try:
-            parser = _parser(clause[start:end], self._source, self.operators, self.flags, positions=True)
+            parser = self._create_parser(clause[start:end])
             term = parser.read()
         except SyntaxFault as fault:
             position = start if parser is None else start + parser.position
@@ -451,7 +451,15 @@ class Program:
         if end < len(clause) or clause[-1][0] != END:
             return None
         self._resume_at = None
-        return ReadTerm(parser, term, clause[start][2])
+        return self._create_result(parser, term, clause[start][2])
+
+    def _create_parser(self, clause: List[AnyToken]) -> Parser:
+        """Return a parser for tokens; a subclass may use another parser."""
+        return create_parser(clause, self._source, self.operators, self.flags, True, Parser)
+
+    def _create_result(self, parser: Parser, term: Term, offset: int) -> ReadTerm:
+        """Return the result for a term that a parser has read; a subclass may add to it."""
+        return ReadTerm(parser, term, offset)
 
     def _missing_full_stop(self, clause: List[AnyToken]) -> SyntaxFault:
         self._resume_at = None
@@ -499,23 +507,57 @@ def read_term(
     Raises:
         SyntaxFault: if the text is not exactly one term.
     """
-    source_text = Source(source, text, first_line)
-    clause = list(tokenize(source_text, lambda: flags))
+    parser = create_term_parser(Source(source, text, first_line), operators, flags, positions, Parser)
+    return ReadTerm(parser, parser.read(), parser.tokens[0][2])
+
+
+def create_term_parser(
+    source: Source,
+    operators: Operators,
+    flags: ReadFlags,
+    positions: bool,
+    parser_class: Type[Parser],
+) -> Parser:
+    """Return a parser for a text that is one term, with or without a full stop.
+
+    Args:
+        source: the text.
+        operators: the operators.
+        flags: see `ReadFlags`.
+        positions: record the positions of subterms.
+        parser_class: class of the parser.
+
+    Raises:
+        SyntaxFault: if the text is empty, a token is invalid, or something follows the full stop.
+    """
+    clause = list(tokenize(source, lambda: flags))
     for position, token in enumerate(clause):
         if token[0] == END and position + 1 < len(clause):
-            raise source_text.fault(
+            raise source.fault(
                 "expected nothing after the full stop: a goal has a line of its own", clause[position + 1][2]
             )
     if not clause or clause[0][0] == END:
-        raise source_text.fault("expected a term", clause[0][2] if clause else 0)
-    parser = _parser(clause, source_text, operators, flags, positions)
-    return ReadTerm(parser, parser.read(), clause[0][2])
+        raise source.fault("expected a term", clause[0][2] if clause else 0)
+    return create_parser(clause, source, operators, flags, positions, parser_class)
 
 
-def _parser(
-    clause: List[AnyToken], source: Source, operators: Operators, flags: ReadFlags, positions: bool
+def create_parser(
+    clause: List[AnyToken],
+    source: Source,
+    operators: Operators,
+    flags: ReadFlags,
+    positions: bool,
+    parser_class: Type[Parser],
 ) -> Parser:
     """Return a parser for the tokens of one clause.
+
+    Args:
+        clause: the tokens.
+        source: the text.
+        operators: the operators.
+        flags: see `ReadFlags`.
+        positions: record the positions of subterms.
+        parser_class: class of the parser.
 
     Raises:
         SyntaxFault: if a token is invalid.
@@ -532,4 +574,4 @@ def _parser(
     clause = [*clause, end, end, end]  # the parser looks ahead without testing for the end
     rules = detect_rules(clause, operators) if marked else NO_RULES
     offsets: Optional[Dict[int, Tuple[int, ...]]] = {} if positions else None
-    return Parser(clause, source, operators, flags, rules, offsets)
+    return parser_class(clause, source, operators, flags, rules, offsets)

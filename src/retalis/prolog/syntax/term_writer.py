@@ -577,12 +577,16 @@ class _NamedMessageWriter:
             key=lambda notation: (
                 self.count_needless_slots(term, notation),
                 len(notation.named_slots),
+                -len(notation.constants),
                 -len(notation.integer_slots),
             ),
         )
         self.depth += 1
+        constants = {number: text for number, text, _ in notation.constants}
         values = [
-            self.write_slot(slots[number - 1], term[number], number in notation.integer_slots)
+            f"{slots[number - 1].name}: {constants[number]}"
+            if number in constants
+            else self.write_slot(slots[number - 1], term[number], number in notation.integer_slots)
             for number in notation.named_slots
         ]
         self.depth -= 1
@@ -604,6 +608,8 @@ class _NamedMessageWriter:
         """Return whether a message that is written in a notation is read back as the same message."""
         if notation.is_constructed is not (id(term) in self.constructed_ids):
             return False
+        if any(not _is_same_constant(term[number], value) for number, _, value in notation.constants):
+            return False
         unnamed_slots = [number for number in range(1, len(term)) if number not in notation.named_slots]
         if not notation.is_constructed:
             return all(deref(term[number]) in self.singleton_variables for number in unnamed_slots)
@@ -621,6 +627,11 @@ class _NamedMessageWriter:
         elif value[0].name == slot.message_functor:  # type: ignore[index]
             text = text[text.index("{") :]
         return f"{slot.name}: {text}"
+
+
+def _is_same_constant(value: Term, constant: Term) -> bool:
+    value = deref(value)
+    return value.__class__ is constant.__class__ and bool(value == constant)
 
 
 def _singleton_variables(term: Term, named_variables: Collection[Var]) -> Set[Var]:

@@ -38,7 +38,8 @@ class ReadFlags(NamedTuple):
         back_quotes: type of back-quoted text: the same values.
         iso: priorities of ISO 13211-1: arguments at most 999, operators as operands in brackets, no special floats.
         event_text: the syntax of events on String topics: ``inf``, ``nan`` and ``-inf`` are floats wherever they are
-            arguments, ``"text"`` is the atom ``'"text"'``, and ``True`` and ``False`` are ``true`` and ``false``.
+            arguments, ``"text"`` is the atom ``'"text"'`` unless `double_quotes` is ``atom``, and ``True`` and
+            ``False`` are ``true`` and ``false``.
         is_constructed: whether the term is constructed and not matched: unnamed message slots have default values.
         multiline: quoted text may continue on the next line.
     """
@@ -196,6 +197,22 @@ def tokenize(source: Source, flags: Callable[[], ReadFlags], start: int = 0) -> 
         previous_end = start = end
 
 
+def comment_spans(text: str, start: int, end: int) -> Iterator[Tuple[int, int]]:
+    """Yield start and end of each comment between two tokens.
+
+    Args:
+        text: the text.
+        start: end of the first token, or the start of the text.
+        end: start of the second token, or the end of the text; there is only layout and comments before it.
+    """
+    match = _matcher()
+    while start < end:
+        token_match = match(text, start)
+        if token_match.lastgroup != "LAYOUT":
+            yield start, token_match.end()
+        start = token_match.end()
+
+
 def _token_with_value(
     token_kind: str, token_text: str, start: int, end: int, text: str, flags: ReadFlags
 ) -> AnyToken:
@@ -296,7 +313,7 @@ def _quoted_token(token_text: str, start: int, end: int, flags: ReadFlags) -> An
         return QUOTED, body, start, end
     if quote == '"':
         if flags.event_text:
-            return QUOTED, f'"{body}"', start, end
+            return QUOTED, body if flags.double_quotes == "atom" else f'"{body}"', start, end
         return TEXT, _text_term(body, flags.double_quotes), start, end
     return TEXT, _text_term(body, flags.back_quotes), start, end
 

@@ -303,7 +303,8 @@ def define_use_foreign(
         name = module.name if isinstance(module, Atom) else module.text
         define_foreign(logic, executor, load_module(name, files))
         path = files.resolve(name if name.endswith(".py") else f"{name}.py")
-        logic.foreign_modules[str(path) if files.is_file(path) else name] = None
+        # Absolute: a program that is loaded from a relative path is restored from another folder.
+        logic.foreign_modules[str(path.absolute()) if files.is_file(path) else name] = None
         return True
 
     logic.define("use_foreign", 1, use_foreign).is_locked = True

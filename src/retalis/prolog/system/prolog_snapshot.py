@@ -32,7 +32,6 @@ from ...serialization.state_fields import record_of
 from ..builtins.clause_predicates import declare_tabled
 from ..builtins.flags_operators_modules import restored_flags
 from ..builtins.tabling import StoredTable, tables_of
-from ..database.clause_index import Clause
 from ..database.module_system import ModuleSnapshot
 from ..database.predicate import Predicate
 from ..syntax.operators import TYPES, OperatorChange
@@ -333,7 +332,7 @@ def restore_program(logic: PrologSystem, program: ProgramSnapshot) -> None:
         ) = properties
         predicate.kind = "user" if is_user_defined else predicate.kind
         for head, body, place in clauses:
-            predicate.add(Clause(predicate, head, body, place))
+            predicate.add(logic.create_clause(predicate, head, body, place))
     logic.database.empty_dynamic.update(dict.fromkeys(program.empty_dynamic))
 
 

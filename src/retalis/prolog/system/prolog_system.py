@@ -30,10 +30,10 @@ from ..builtins.grammar_and_ssu_rules import (
 )
 from ..builtins.text_streams import UserStream
 from ..compiler.clause_nodes import CALL
-from ..database.clause_index import Clause
+from ..database.clause_index import Clause, CountedClause
 from ..database.compiled_goal import CompiledGoal
 from ..database.goal_terms import check_body, functor_of, split_clause
-from ..database.predicate import COMPILE_AFTER
+from ..database.predicate import COMPILE_AFTER, Predicate
 from ..machine.errors import PrologError, permission_error
 from ..machine.resource_limits import NO_LIMITS, Budget, EntryExecutor, Limits
 from ..syntax.operators import Operators
@@ -53,6 +53,10 @@ _GRAMMAR_RULE = functor("-->", 2)
 _FLAGS_LOCKED = "goals of services and the dashboard may not change flags: set the parameter ~allow_flags"
 
 
+MAX_COUNTED_CLAUSES = 100_000
+"""Maximum number of clauses that count their uses; further ones do not."""
+
+
 class PrologSystem(PredicateTable):
     """Prolog system: clauses, predicates in Python, and goals.
 
@@ -65,6 +69,7 @@ class PrologSystem(PredicateTable):
         files: opens files for goals; None if goals may open none.
         environment: environment variables of the process; None if the program may not read them.
         allow_flags: whether goals of clients, including those that they add to the program, may change flags.
+        counts_uses: whether the clauses of files count their uses, see `CountedClause`.
 
     Attributes:
         output: called with text that the program prints.
@@ -80,6 +85,7 @@ class PrologSystem(PredicateTable):
         ask: returns the next line that the user types, None at the end of input; None if there is no user.
         is_serving_client: whether the current work is done for a client and not for the program; see
             `serving_client`.
+        counted_clauses: the clauses of files, if they count their uses, else None.
         new_goals: goals compiled since `precompiling_goals` began; None outside of it.
     """
 
@@ -93,6 +99,7 @@ class PrologSystem(PredicateTable):
         files: "Optional[SourceFiles]" = None,
         environment: Optional[Mapping[str, str]] = None,
         allow_flags: bool = False,
+        counts_uses: bool = False,
     ):
         super().__init__(
             Operators.prolog() if operators is None else operators,
@@ -105,6 +112,7 @@ class PrologSystem(PredicateTable):
         self.files = files
         self.environment = environment
         self._allow_flags = allow_flags
+        self.counted_clauses: Optional[List[CountedClause]] = [] if counts_uses else None
         self.globals: Dict[str, Term] = {}
         self.column = 0
         self.output: Callable[[str], None]
@@ -195,8 +203,21 @@ class PrologSystem(PredicateTable):
     def _add_to_predicate(self, term: Term, place: Optional[Place], first: bool, asserted: bool) -> Clause:
         head, body = split_clause(copy(term))
         predicate = self.database.writable(functor_of(head), "modify", asserted)
-        clause = Clause(predicate, head, body, place)
+        clause = (
+            Clause(predicate, head, body, place)
+            if asserted
+            else self.create_clause(predicate, head, body, place)
+        )
         predicate.add(clause, first)
+        return clause
+
+    def create_clause(self, predicate: Predicate, head: Term, body: Term, place: Optional[Place]) -> Clause:
+        """Return a clause of a file, which is not added to its predicate yet."""
+        counted_clauses = self.counted_clauses
+        if counted_clauses is None or place is None or len(counted_clauses) >= MAX_COUNTED_CLAUSES:
+            return Clause(predicate, head, body, place)
+        clause = CountedClause(predicate, head, body, place)
+        counted_clauses.append(clause)
         return clause
 
     def _resolve_in_module(self, term: Term, asserted: bool) -> Term:

@@ -1,6 +1,7 @@
 """Texts and byte arrays of messages as atoms, and the bytes that such an atom stands for.
 
-Strings and byte arrays become atoms: ``'"text"'``, or base64 for bytes that are not text. A ``string`` is text if it
+Strings and byte arrays become atoms: ``'"text"'``, or base64 for bytes that are not text. In programs with plain
+texts, strings become atoms without the double quotes; byte arrays are equal in both forms. A ``string`` is text if it
 is valid UTF-8 and has no control characters (Unicode category Cc: U+0000 to U+001F, U+007F to U+009F) except tab,
 line feed and carriage return. A ``uint8[]`` is text only if all its bytes are printable ASCII (or tab and the ASCII
 line ends), because its bytes need not have an encoding. Text that begins with the marker of the base64 form is
@@ -28,13 +29,25 @@ _CONTROL = re.compile("[\0-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f]")
 
 def text_atom(data: bytes) -> Atom:
     """Return the atom of a message's string."""
+    text = _find_text(data)
+    return _base64_atom(data) if text is None else atom('"' + text + '"')
+
+
+def plain_text_atom(data: bytes) -> Atom:
+    """Return the atom of a message's string in the plain form, without double quotes."""
+    text = _find_text(data)
+    return atom(_base64_text(data) if text is None else text)
+
+
+def _find_text(data: bytes) -> Optional[str]:
+    """Return the text of a message's string; None if it is written as base64."""
     if data.startswith(_BASE64_MARK_BYTES):
-        return _base64_atom(data)
+        return None
     try:
         text = str(data, "utf-8")
     except UnicodeDecodeError:
-        return _base64_atom(data)
-    return _base64_atom(data) if _CONTROL.search(text) else atom('"' + text + '"')
+        return None
+    return None if _CONTROL.search(text) else text
 
 
 def blob_atom(data: bytes) -> Atom:
@@ -64,6 +77,25 @@ def text_bytes(term: Term) -> Optional[bytes]:
         name = term.text
     else:
         return None
+    return _encode_text(name)
+
+
+def plain_text_bytes(term: Term) -> Optional[bytes]:
+    """Return the bytes that a term denotes in a string slot of the plain form, or None if it is no atom or string.
+
+    Double quotes are part of the text, and the atom ``[]`` is the text of a message with these two characters.
+    ``term`` is dereferenced.
+
+    Raises:
+        MessageError: see `text_bytes`.
+    """
+    if term.__class__ is Atom:
+        return _encode_text(term.name)
+    return _encode_text(term.text) if term.__class__ is String else None
+
+
+def _encode_text(name: str) -> bytes:
+    """Return the bytes of a text without double quotes."""
     if name.startswith(BASE64_MARK):
         return _decode_base64(name[len(BASE64_MARK) :])
     try:
@@ -75,12 +107,16 @@ def text_bytes(term: Term) -> Optional[bytes]:
 
 
 def _base64_atom(data: bytes) -> Atom:
+    return atom(f'"{_base64_text(data)}"')
+
+
+def _base64_text(data: bytes) -> str:
     text = str(b64encode(data), "ascii")
     lines = "".join(
         text[start : start + _BASE64_LINE_LENGTH] + _BASE64_LINE_END
         for start in range(0, len(text), _BASE64_LINE_LENGTH)
     )
-    return atom(f'"{BASE64_MARK}{lines}"')
+    return BASE64_MARK + lines
 
 
 def _decode_base64(text: str) -> bytes:

@@ -1,0 +1,320 @@
+"""Command ``diff``: compares the outputs of two versions of a program over bags."""
+
+import argparse
+import os
+import sys
+from collections import Counter
+from contextlib import ExitStack, closing
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Callable, Dict, List, NamedTuple, Optional, Sequence, Tuple
+from xml.etree import ElementTree
+
+from ..foundation.errors import RetalisError, UsageError, format_count, printable
+from ..foundation.output_files import print_json, write_xml
+from ..messages.type_registry import Definitions
+from ..playback.bag_locations import MergedBag, find_bags, is_url, local_copy
+from ..playback.playback import Playback
+from ..playback.worker_pools import Unfinished, run_in_processes, run_on_cluster
+from ..prolog.terms.timestamps import SECOND
+from ..testing.case_run import ProblemLog
+from ..testing.output_changes import (
+    MOVED_WITHIN_SECONDS,
+    ChangeType,
+    Comparison,
+    OutputChange,
+    PlainOutput,
+    compare_versions,
+)
+from .command_options import add_message_folders, message_folders
+from .git_revisions import Revision, extract_revision
+from .option_values import non_negative, positive_integer
+from .optional_ros_imports import installed_definitions
+from .stderr_and_progress import paint, show_progress
+
+DESCRIPTION = """\
+Run two versions of a program over bags, and print each output that is lost, gained, moved to another time, or
+changed, with the reason in both versions. A folder of bags stands for all bags below it.
+
+  retalis diff OLD NEW BAG...              two folders
+  retalis diff --git REVISION PROGRAM BAG...    a folder in git, before and after
+
+The exit status is 0 if all outputs are equal, 1 if any differs or a bag or program has an error, and 2 for wrong
+usage.
+"""
+
+
+def add_parser(add_command: Callable[..., argparse.ArgumentParser]) -> None:
+    """Add the parser of command ``diff``."""
+    parser = add_command(
+        "diff",
+        help="compare the outputs of two versions of a program over bags",
+        description=DESCRIPTION,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    add = parser.add_argument
+    add("paths", nargs="+", metavar="PATH", help="OLD, NEW and bags; with --git a program and bags")
+    add("--git", metavar="REVISION", help="the old version is that of the program's folder in this revision")
+    add(
+        "-j",
+        "--jobs",
+        type=positive_integer,
+        metavar="N",
+        help="compare N bags at a time (one for each core)",
+    )
+    add(
+        "--moved-within",
+        type=non_negative(float),
+        default=MOVED_WITHIN_SECONDS,
+        metavar="SECONDS",
+        help=f"an equal output up to SECONDS earlier or later has moved ({MOVED_WITHIN_SECONDS:g})",
+    )
+    add("--json", action="store_true", help="print one JSON object for each change")
+    add("--junit", type=Path, metavar="FILE", help="write the results as JUnit XML, a test case for each bag")
+    add = parser.add_argument_group("message types and clusters").add_argument
+    add_message_folders(add)
+    add(
+        "--scheduler",
+        metavar="ADDRESS",
+        help="use the Dask cluster of this scheduler, as tcp://HOST:8786; its workers need this package and both "
+        "folders",
+    )
+    parser.set_defaults(run=run, reject_usage=parser.error)
+
+
+class _ComparisonTask(NamedTuple):
+    """Both versions of a program, and a bag."""
+
+    old: Path
+    new: Path
+    bag: str
+    message_folders: Sequence[str]
+    moved_within: float
+
+
+class _BagResult(NamedTuple):
+    """Result for a bag: the comparison, or the error of the bag."""
+
+    bag: str
+    comparison: Optional[Comparison]
+    error: str = ""
+
+
+def run(options: argparse.Namespace) -> int:
+    """Run the command; return its exit status."""
+    with ExitStack() as stack:
+        old, new, locations, revision = _select_versions(options, stack)
+        results = []
+        for result in _run_tasks(options, _create_tasks(options, old, new, locations)):
+            if revision is not None:
+                result = _rename_paths(result, revision)
+            results.append(result)
+            _print_result(result, options.json)
+    if options.junit is not None:
+        _write_junit_report(options.junit, results)
+    if not options.json:
+        _print_summary(results)
+    return 0 if all(_is_equal(result) for result in results) else 1
+
+
+def _select_versions(
+    options: argparse.Namespace, stack: ExitStack
+) -> Tuple[Path, Path, List[str], Optional[Revision]]:
+    """Return the folders of both versions, the locations of the bags, and the revision of ``--git``."""
+    has_revision = options.git is not None
+    program_count = 1 if has_revision else 2
+    if len(options.paths) <= program_count:
+        options.reject_usage("expected PROGRAM BAG..." if has_revision else "expected OLD NEW BAG...")
+    if options.scheduler and options.jobs:
+        options.reject_usage(
+            "--jobs and --scheduler: expected only one option, because a cluster has its own workers"
+        )
+    if options.scheduler and has_revision:
+        options.reject_usage("--scheduler and --git: expected OLD NEW BAG..., folders that the workers see")
+    programs = [Path(path) for path in options.paths[:program_count]]
+    for program in programs:
+        if not program.is_dir():
+            raise UsageError(f"{program} is not a folder: expected the folder of a program")
+    old, new, locations = programs[0], programs[-1], options.paths[program_count:]
+    if not has_revision:
+        return old, new, locations, None
+    revision = extract_revision(options.git, new, stack)
+    return revision.program, new, locations, revision
+
+
+def _create_tasks(
+    options: argparse.Namespace, old: Path, new: Path, locations: Sequence[str]
+) -> List[_ComparisonTask]:
+    # The processes of a cluster may have other working directories.
+    absolute = os.path.abspath if options.scheduler else str
+    folders = message_folders(options)
+    bags = [bag.location for bag in find_bags(locations)]
+    return [
+        _ComparisonTask(
+            Path(absolute(old)),
+            Path(absolute(new)),
+            bag if is_url(bag) else absolute(bag),
+            folders,
+            options.moved_within,
+        )
+        for bag in bags
+    ]
+
+
+def _run_tasks(options: argparse.Namespace, tasks: Sequence[_ComparisonTask]) -> List[_BagResult]:
+    """Return the results in the order of the bags."""
+    results: Dict[int, _BagResult] = {}
+
+    def warn_worker_death(number: int, description: str) -> None:
+        print(
+            f"warning: {tasks[number].bag}: its worker died {description}; it is compared again",
+            file=sys.stderr,
+        )
+
+    with ExitStack() as stack:
+        scratch = stack.enter_context(TemporaryDirectory(prefix="retalis-"))
+        if len(tasks) == 1 and not options.scheduler:
+            return [_compare_bag(tasks[0], scratch)]
+        bar = stack.enter_context(show_progress("bags", lambda: len(results) / len(tasks)))
+        if options.scheduler:
+            outcomes = run_on_cluster(_compare_bag, tasks, options.scheduler)
+        else:
+            jobs = options.jobs or os.cpu_count() or 1
+            outcomes = run_in_processes(_compare_bag, tasks, jobs, scratch, warn_worker_death)
+        for number, outcome in stack.enter_context(closing(outcomes)):
+            if isinstance(outcome, Unfinished):
+                outcome = _BagResult(tasks[number].bag, None, outcome.reason)
+            results[number] = outcome
+            if bar is not None:
+                bar(len(results))
+    return [results[number] for number in range(len(tasks))]
+
+
+def _compare_bag(task: _ComparisonTask, scratch: str) -> _BagResult:
+    """Compare the outputs of both versions for a bag; a bag at a URL is downloaded to ``scratch``."""
+    problems = ProblemLog(str)
+    definitions = installed_definitions(task.message_folders)
+    try:
+        with problems.attached(), local_copy(task.bag, scratch) as path, MergedBag([path]) as bag:
+            comparison = compare_versions(
+                lambda: _load(task.old, definitions, bag, problems),
+                lambda: _load(task.new, definitions, bag, problems),
+                bag,
+                task.moved_within,
+            )
+    except RetalisError as error:
+        return _BagResult(task.bag, None, error.message)
+    unique_problems = tuple(dict.fromkeys(problems.errors))
+    return _BagResult(task.bag, comparison._replace(problems=unique_problems))
+
+
+def _load(folder: Path, definitions: Definitions, bag: MergedBag, problems: ProblemLog) -> Playback:
+    return Playback(folder, problems.add_error, bag=bag, definitions=definitions)
+
+
+def _rename_paths(result: _BagResult, revision: Revision) -> _BagResult:
+    """Return a result whose messages name files of a revision instead of temporary files."""
+    error = revision.rename_paths(result.error)
+    comparison = result.comparison
+    if comparison is None:
+        return result._replace(error=error)
+    changes = tuple(
+        change._replace(reasons=tuple(map(revision.rename_paths, change.reasons)))
+        for change in comparison.changes
+    )
+    problems = tuple(map(revision.rename_paths, comparison.problems))
+    return result._replace(comparison=comparison._replace(changes=changes, problems=problems), error=error)
+
+
+def _is_equal(result: _BagResult) -> bool:
+    comparison = result.comparison
+    return comparison is not None and not comparison.changes and not comparison.problems
+
+
+def _print_result(result: _BagResult, as_json: bool) -> None:
+    if result.comparison is None:
+        place = "" if result.error.startswith(result.bag) else f"{result.bag}: "
+        print(f"{paint('error', 'error', sys.stderr)}: {place}{result.error}", file=sys.stderr)
+        return
+    for problem in result.comparison.problems:
+        print(f"{paint('error', 'error', sys.stderr)}: {result.bag}: {problem}", file=sys.stderr)
+    if as_json:
+        for change in result.comparison.changes:
+            print_json(_change_to_json(result.bag, change))
+    elif result.comparison.changes:
+        print(printable(result.bag))
+        for change in result.comparison.changes:
+            for line in format_change(change, result.comparison.start):
+                print(f"  {line}")
+
+
+def format_change(change: OutputChange, start: int) -> List[str]:
+    """Return the lines of a change: its type, time in seconds since the start, topic and term, and the reasons."""
+    shown = change.old or change.new
+    assert shown is not None
+    time = _format_time(shown, start)
+    text = shown.term
+    if change.type is ChangeType.MOVED and change.new is not None:
+        time = f"{time} -> {_format_time(change.new, start)}"
+    elif change.type is ChangeType.CHANGED and change.new is not None:
+        text = f"{text} -> {change.new.term}"
+    line = f"{change.type.value:<8}{time}  {shown.topic}  {text}"
+    return [printable(line), *(f"    {printable(reason)}" for reason in change.reasons)]
+
+
+def _format_time(output: PlainOutput, start: int) -> str:
+    return f"{(output.time - start) / SECOND:.3f} s"
+
+
+def _change_to_json(bag: str, change: OutputChange) -> Dict[str, object]:
+    return {
+        "change": change.type.value,
+        "bag": bag,
+        "old": None if change.old is None else change.old._asdict(),
+        "new": None if change.new is None else change.new._asdict(),
+        "because": list(change.reasons),
+    }
+
+
+def _print_summary(results: Sequence[_BagResult]) -> None:
+    comparisons = [result.comparison for result in results if result.comparison is not None]
+    counts = Counter(change.type for comparison in comparisons for change in comparison.changes)
+    equal_count = sum(comparison.equal_count for comparison in comparisons)
+    parts = [f"{format_count(equal_count, 'equal output')}"]
+    parts += [
+        f"{counts[change_type]} {change_type.value}" for change_type in ChangeType if counts[change_type]
+    ]
+    failed_count = len(results) - len(comparisons)
+    if failed_count:
+        parts.append(f"{format_count(failed_count, 'bag')} failed")
+    print(f"{format_count(len(results), 'bag')}: {', '.join(parts)}")
+
+
+def _write_junit_report(path: Path, results: Sequence[_BagResult]) -> None:
+    """Write the results as JUnit XML.
+
+    Raises:
+        UsageError: if the file cannot be written.
+    """
+    failure_count = sum(1 for result in results if not _is_equal(result))
+    suite = ElementTree.Element(
+        "testsuite", name="retalis diff", tests=str(len(results)), failures=str(failure_count), errors="0"
+    )
+    for result in results:
+        case = ElementTree.SubElement(suite, "testcase", classname="retalis.diff", name=printable(result.bag))
+        if not _is_equal(result):
+            lines = _list_failure_lines(result)
+            message = printable(lines[0].splitlines()[0])
+            failure = ElementTree.SubElement(case, "failure", message=message, type="change")
+            failure.text = printable("\n".join(lines))
+    write_xml(path, suite)
+
+
+def _list_failure_lines(result: _BagResult) -> List[str]:
+    comparison = result.comparison
+    if comparison is None:
+        return [printable(result.error)]
+    lines = list(comparison.problems)
+    for change in comparison.changes:
+        lines += format_change(change, comparison.start)
+    return lines

@@ -1,0 +1,1 @@
+"""Tests of programs: files with inputs and expectations, and their execution."""
