@@ -2,6 +2,7 @@
 
 import contextlib
 import io
+import os
 import re
 import shlex
 import subprocess
@@ -9,10 +10,11 @@ import sys
 from pathlib import Path
 from typing import Any, Dict, List, Optional
 
-from checked_access import compound
-from python_path import python_path
+from asserting_accessors import compound
+from subprocess_python_path import python_path
 
 from retalis import Engine, PrologError
+from retalis.cli.command_line import main
 from retalis.cli.toplevel_io import format_bindings
 from retalis.prolog.syntax.term_reader import ReadTerm, read_program, read_term
 from retalis.prolog.syntax.term_writer import write_term
@@ -21,26 +23,50 @@ ROOT = Path(__file__).resolve().parent.parent
 FENCE = re.compile(
     r"(?:^<!-- (?P<name>\S+) -->\n)?^```(?P<kind>\w*)\n(?P<text>.*?)^```", re.DOTALL | re.MULTILINE
 )
-PROGRAMS = {"retalis": [sys.executable, "-m", "retalis"], "python3": [sys.executable]}
+PROGRAMS = {"retalis": [sys.executable, "-m", "retalis"], "python3": [sys.executable], "cat": ["cat"]}
 """The command line of each program that pages call."""
+
+COMMANDS_IN_PROCESS = ("check", "events")
+"""Commands that run in the process of the tests, because most pages call them and the start of a process is slow."""
+
+
+def run_process(command: List[str], folder: Any) -> str:
+    """Run a command in a process of its own; return its output, with that on standard error."""
+    return subprocess.run(
+        command,
+        cwd=str(folder),
+        env={"PYTHONPATH": python_path(), "PATH": "/usr/bin:/bin", "PYTHONUNBUFFERED": "1"},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        timeout=120,
+    ).stdout
+
+
+def run_in_process(arguments: List[str], folder: Any) -> str:
+    """Run a command of ``retalis`` in this process; return its output, with that on standard error."""
+    output = io.StringIO()
+    working_folder = os.getcwd()
+    os.chdir(str(folder))
+    try:
+        with contextlib.redirect_stdout(output), contextlib.redirect_stderr(output):
+            main(arguments)
+    finally:
+        os.chdir(working_folder)
+    return output.getvalue()
 
 
 def run_commands(text: str, folder: Any) -> str:
     """Run the commands of a console block; return the block with their present output."""
-    blocks: List[Any] = []
+    blocks: List[str] = []
     for line in text.splitlines():
         if line.startswith("$ "):
             program, *arguments = shlex.split(line[2:])
-            process = subprocess.run(
-                [*PROGRAMS[program], *arguments],
-                cwd=str(folder),
-                env={"PYTHONPATH": python_path(), "PATH": "/usr/bin:/bin", "PYTHONUNBUFFERED": "1"},
-                stdout=subprocess.PIPE,
-                stderr=subprocess.STDOUT,
-                text=True,
-                timeout=120,
-            )
-            blocks.append(f"{line}\n{process.stdout}")
+            if program == "retalis" and arguments[0] in COMMANDS_IN_PROCESS:
+                output = run_in_process(arguments, folder)
+            else:
+                output = run_process([*PROGRAMS[program], *arguments], folder)
+            blocks.append(f"{line}\n{output}")
     return "".join(blocks)
 
 

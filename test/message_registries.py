@@ -2,12 +2,13 @@
 
 from retalis import Definitions
 from retalis.messages.decoder import Decoder
+from retalis.messages.type_definition import MAX_EMPTY_ELEMENTS
 from retalis.messages.type_registry import InstalledTypes
 
 
-def empty_registry(**limits: int) -> Definitions:
+def empty_registry(max_empty_elements: int = MAX_EMPTY_ELEMENTS) -> Definitions:
     """Return a registry without installed types."""
-    return Definitions(InstalledTypes([], [], include_rosbags=False), **limits)
+    return Definitions(InstalledTypes([], [], include_rosbags=False), max_empty_elements)
 
 
 def decoder_of(text: str, name: str = "pkg/Type") -> Decoder:

@@ -25,4 +25,5 @@ def pytest_collection_modifyitems(config: Any, items: Any) -> None:
     omitted = [item for item in items if item.get_closest_marker(MARKER) and not is_requested(item, config)]
     if omitted:
         config.hook.pytest_deselected(items=omitted)
-        items[:] = [item for item in items if item not in set(omitted)]
+        omitted_set = set(omitted)
+        items[:] = [item for item in items if item not in omitted_set]

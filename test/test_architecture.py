@@ -11,6 +11,9 @@ pytestmark = pytest.mark.docs
 
 PAGE = ROOT / "docs" / "explanation" / "architecture.md"
 QUOTED = re.compile(r"`([^`\n]+)`")
+FENCED_BLOCK = re.compile(r"^```.*?^```\n", re.MULTILINE | re.DOTALL)
+INDENTED_BLOCK = re.compile(r"(?<=\n\n)(?: {4}.*\n|\n(?= {4}))+")
+"""Lines of code after a blank line; indented lines after others continue an item of a list."""
 OTHER_NAMES = {
     *("float", "int", "struct"),  # of Python
     *("split_tf", "new_event(tf(Parent, Child, V, Q), Sec, NSec)"),  # of the example
@@ -24,7 +27,7 @@ OTHER_NAMES = {
 
 def quoted_paths_and_names() -> Tuple[Any, ...]:
     """Return the quoted paths and names in the sentences and tables of the page."""
-    text = re.sub(r"^    .*\n", "", PAGE.read_text(encoding="utf-8"), flags=re.MULTILINE)
+    text = INDENTED_BLOCK.sub("", FENCED_BLOCK.sub("", PAGE.read_text(encoding="utf-8")))
     quoted = dict.fromkeys(QUOTED.findall(text))
     paths = [text for text in quoted if "/" in text or text.endswith(".py")]
     return paths, [text for text in quoted if text not in paths and text not in OTHER_NAMES]

@@ -2,7 +2,8 @@
 
 import ast
 from collections import defaultdict
-from typing import Any, Iterator, Optional, Set
+from functools import lru_cache
+from typing import Any, Dict, Iterator, Optional, Set, Tuple, Union
 
 import pytest
 from source import FILES, NODES, TREES
@@ -73,7 +74,8 @@ def slots_of(cls: Any) -> Optional[Set[Any]]:
     return None
 
 
-def find_owners() -> Any:
+@lru_cache(maxsize=1)
+def owners_by_attribute() -> Any:
     """Return the classes that have each attribute, as file, name, and whether it is a record."""
     owners = defaultdict(set)
     for path, tree in TREES.items():
@@ -83,9 +85,6 @@ def find_owners() -> Any:
                 for name in {*attributes_set_by(cls), *(slots or ())}:
                     owners[name].add((path, cls.name, slots is not None))
     return owners
-
-
-OWNERS = find_owners()
 
 
 def targets_of(node: Any) -> Iterator[Any]:
@@ -124,7 +123,7 @@ def foreign_assignments(path: Any, node: Any, created: Any) -> Iterator[str]:
             if not isinstance(target, ast.Attribute) or isinstance(target.value, ast.Call):
                 continue
             owner = text_of(target.value)
-            classes = OWNERS.get(target.attr, ())
+            classes = owners_by_attribute().get(target.attr, ())
             is_own = (
                 owner in ("self", "cls") or owner in created or any(file == path for file, _, _ in classes)
             )
@@ -151,7 +150,7 @@ def test_exceptions_are_needed() -> None:
         for node in ast.walk(tree)
         for target in targets_of(node)
         if isinstance(target, ast.Attribute)
-        for file, name, _ in OWNERS.get(target.attr, ())
+        for file, name, _ in owners_by_attribute().get(target.attr, ())
         if file != path
     }
     unused = [
@@ -198,7 +197,7 @@ def test_parts_of_engine_are_accessed_by_its_module_only() -> None:
     assert accesses == []
 
 
-MODULES_OF_STATE = {
+MODULES_OF_STATE: Dict[str, Union[str, Tuple[str, ...]]] = {
     "current": ("events/dispatch/", "events/fused/"),
     "cause": "events/dispatch/",
     "condition_depth": "events/network/goal_evaluation.py",

@@ -9,7 +9,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from python_path import python_path
+from subprocess_python_path import python_path
 
 from retalis.cli.command_line import main
 

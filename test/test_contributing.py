@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any, Iterator
 
 import pytest
-from checked_access import search
+from asserting_accessors import search
 from contributing_snippets import SNIPPETS, Snippet
 
 pytestmark = pytest.mark.docs

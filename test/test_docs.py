@@ -9,8 +9,9 @@ from typing import Any, Dict, Iterator, List, Set, Tuple
 from xml.etree import ElementTree
 
 import pytest
-from checked_access import stream_clock
-from python_path import python_path
+from asserting_accessors import stream_clock
+from doc_pages import run_commands
+from subprocess_python_path import python_path
 
 from retalis import Definitions, Engine, Operators
 from retalis.events.checks.check_runner import run_checks
@@ -66,6 +67,13 @@ def test_example_of_readme_has_shown_output(tmp_path: Path) -> None:
     assert result.stdout == files["fever.out"]
 
 
+def test_commands_of_readme_have_shown_output(tmp_path: Path) -> None:
+    blocks = [snippet["text"] for snippet in snippets(ROOT / "README.md") if snippet["kind"] == "console"]
+    assert blocks
+    for block in blocks:
+        assert run_commands(block, tmp_path) == block
+
+
 MISTAKES = DOCS / "reference" / "errors.md"
 """The page whose rules have mistakes, see ``test_errors_page.py``."""
 
@@ -74,9 +82,11 @@ def prolog() -> Iterator[Any]:
     for page in PAGES:
         if page == MISTAKES:
             continue
+        # The form of strings is that of the program on the page.
+        strings = "plain" if 'strings="plain">' in page.read_text(encoding="utf-8") else "quoted"
         for number, snippet in enumerate(snippets(page)):
             if snippet["kind"] == "prolog":
-                yield pytest.param(snippet["text"], id=f"{page.relative_to(ROOT)}-{number}")
+                yield pytest.param(snippet["text"], strings, id=f"{page.relative_to(ROOT)}-{number}")
 
 
 CHECKS_OF_WHOLE_PROGRAMS = (
@@ -92,15 +102,16 @@ CHECKS_OF_WHOLE_PROGRAMS = (
 """Checks with findings in a part of a program without its other parts."""
 
 
-@pytest.mark.parametrize("text", list(prolog()))
-def test_rules_and_goals_load_without_findings(text: str, definitions: Definitions) -> None:
+@pytest.mark.parametrize(("text", "strings"), list(prolog()))
+def test_rules_and_goals_load_without_findings(text: str, strings: str, definitions: Definitions) -> None:
     engine = Engine()
     if text.startswith(("memorize(", "subscribe(")):
         engine.call_goals(text, "snippet")
     else:
         assert list(read_program(text, Operators.prolog(), "snippet"))
         engine.load(rules=text)
-    findings = run_checks(ProgramModel(engine.rules, engine.knowledge, definitions, Topics()))
+    known_types = definitions.with_strings(strings)
+    findings = run_checks(ProgramModel(engine.rules, engine.knowledge, known_types, Topics()))
     expected_checks: Tuple[str, ...] = CHECKS_OF_WHOLE_PROGRAMS
     if "unrestricted" in text:  # the page shows the finding
         expected_checks = (*expected_checks, "waits-for-ever")
@@ -184,6 +195,7 @@ def test_commands_of_readme_exist() -> None:
         "pip",
         "retalis",
         "colcon",
+        "rosdep",
         "ros2",
     }
     assert {command[0] for command in commands} <= programs

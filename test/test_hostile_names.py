@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, Dict, Iterator, List
 
 import pytest
-from checked_access import place_of
+from asserting_accessors import place_of
 from message_registries import empty_registry
 from reachable_objects import reachable
 
@@ -34,7 +34,7 @@ from retalis.foundation import codegen
 from retalis.foundation.bounded_caches import Cache
 from retalis.foundation.errors import printable
 from retalis.messages.event_text_writer import make_text_writer
-from retalis.messages.ros2_definitions import parse_ros2_type
+from retalis.messages.type_registry import parse_ros2_type
 from retalis.prolog.syntax.term_reader import read_term
 from retalis.prolog.syntax.term_writer import writeq
 

@@ -13,7 +13,7 @@ from typing import Any, Dict, Iterator, List, Optional, Tuple
 from unittest.mock import patch
 
 import pytest
-from checked_access import required
+from asserting_accessors import required
 
 HERE = Path(__file__).resolve().parents[1]
 

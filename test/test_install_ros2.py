@@ -170,12 +170,19 @@ def test_build_removes_files_of_former_build(installation: Any) -> None:
 
 
 @pytest.mark.parametrize("is_installed", [False, True])
-def test_tf2_msgs_is_built_if_wheels_lack_it(installation: Any, is_installed: bool) -> None:
+@pytest.mark.parametrize(
+    ("package", "definition"),
+    [("tf2_msgs", "msg/TFMessage.msg"), ("example_interfaces", "action/Fibonacci.action")],
+)
+def test_packages_that_wheels_lack_are_built(
+    installation: Any, package: str, definition: str, is_installed: bool
+) -> None:
     if is_installed:
-        (installation.venv / "share" / "tf2_msgs").mkdir()
+        (installation.venv / "share" / package).mkdir()
     installation.build()
-    message = installation.folder / "src" / "tf2_msgs" / "msg" / "TFMessage.msg"
-    assert message.exists() == (not is_installed)
+    assert (installation.folder / "src" / package / definition).exists() == (not is_installed)
+    (command,) = installation.shell.commands
+    assert (package in command) == (not is_installed)
 
 
 def test_commands_run_in_environment_of_ros2(installation: Any) -> None:
@@ -321,8 +328,25 @@ def test_command_where_prints_setup_of_ros2(
     setup.touch()
     assert run("where", "--ros2") == 0
     assert capsys.readouterr().out == f"{setup}\n"
-    with pytest.raises(install.Problem, match="there is no setup.zsh for ROS 2: expected bash"):
-        run("where", "zsh", "--ros2")
+    assert run("where", "zsh", "--ros2") == 0
+    assert capsys.readouterr().out == f"{setup.with_suffix('.zsh')}\n"
+
+
+def test_setup_scripts_are_written_for_all_shells(
+    install_ros2: Any, shell: Recorder, sources: Path, tmp_path: Path
+) -> None:
+    installation = install_ros2.Ros2Installation("jazzy", tmp_path, sources, "/usr/bin/python3", shell)
+    installation.build()
+    for name in ("bash", "zsh", "sh"):
+        text = installation.setup.with_suffix(f".{name}").read_text()
+        assert f"export AMENT_PREFIX_PATH={installation.venv} " in text
+        assert text.endswith(f"  . {installation.folder / 'install' / f'local_setup.{name}'}\nfi\n")
+    # They are written again if they are missing, without another build.
+    installation.setup.unlink()
+    built = list(shell.steps)
+    installation.build()
+    assert installation.setup.exists()
+    assert shell.steps == built
 
 
 def test_uninstall_removes_ros2(install: Any, run: Any, tmp_path: Path) -> None:

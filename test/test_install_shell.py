@@ -8,7 +8,7 @@ from types import ModuleType
 from typing import Any, Iterator, List
 
 import pytest
-from checked_access import required
+from asserting_accessors import required
 
 HERE = Path(__file__).resolve().parents[1]
 

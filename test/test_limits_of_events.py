@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import Any, List, Optional
 
 import pytest
-from checked_access import stream_clock
+from asserting_accessors import stream_clock
 
 from retalis import Engine, Limits, PrologError, Settings, functor
 from retalis.foundation.interrupts import Interrupt, postpone

@@ -14,7 +14,7 @@ from typing import Any
 from xml.etree import ElementTree
 
 import pytest
-from checked_access import required
+from asserting_accessors import required
 
 pytest.importorskip("setuptools")
 pytest.importorskip("wheel")
@@ -150,7 +150,14 @@ def test_wheel_has_package_and_examples(built: Any) -> None:
     assert metadata["Description-Content-Type"] == "text/markdown"
     page = str(metadata.get_payload() or metadata["Description"])
     assert page.lstrip().startswith("# retalis")
-    assert set(metadata.get_all("Provides-Extra", [])) == {"dashboard", "dask", "parquet", "plot", "s3"}
+    assert set(metadata.get_all("Provides-Extra", [])) == {
+        "dashboard",
+        "dask",
+        "lsp",
+        "parquet",
+        "plot",
+        "s3",
+    }
     assert metadata["Requires-Python"] == ">=3.8"
     assert metadata["Project-URL"] == "Website, http://wiki.ros.org/retalis"
     assert {"ROS", "Prolog"} <= set(metadata["Keywords"].split(","))

@@ -11,7 +11,10 @@ from doc_pages import ROOT, PageRun
 pytestmark = [pytest.mark.docs, pytest.mark.slow]
 
 PAGES = [
-    *(ROOT / "docs" / "tutorials" / f"{name}.md" for name in ("first-rule", "robot-program", "nao")),
+    *(
+        ROOT / "docs" / "tutorials" / f"{name}.md"
+        for name in ("first-rule", "new-program", "robot-program", "nao")
+    ),
     *(
         ROOT / "docs" / "explanation" / f"{name}.md"
         for name in ("how-it-works", "policies", "prolog-for-python")

@@ -32,18 +32,20 @@ def rows() -> Iterator[Any]:
 
 ROWS = list(rows())
 PROLOG_PREDICATES = {str(key) for key in PrologSystem().names()}
-TRANSFORMS = {str(key) for key in Engine().logic.names() if key.name.startswith("tf_")} - PROLOG_PREDICATES
+ENGINE_PREDICATES = {
+    str(key) for key in Engine().logic.names() if key.name.startswith(("tf_", "ros_"))
+} - PROLOG_PREDICATES
 """Predicates of an engine on this page; the others are on other pages."""
 
 
 def system_for(keys: Any) -> PrologSystem:
     """Return a new system that defines the predicates of a row."""
-    return Engine().logic if TRANSFORMS.issuperset(keys) else PrologSystem()
+    return Engine().logic if ENGINE_PREDICATES.issuperset(keys) else PrologSystem()
 
 
 def test_page_has_exactly_the_defined_predicates() -> None:
-    defined = {key for key in PROLOG_PREDICATES if not key.startswith("$")} | TRANSFORMS
-    assert len(TRANSFORMS) == 5
+    defined = {key for key in PROLOG_PREDICATES if not key.startswith("$")} | ENGINE_PREDICATES
+    assert len(ENGINE_PREDICATES) == 8
     names = [key for keys, *_ in ROWS for key in keys]
     assert sorted(defined - set(names)) == []
     assert sorted(set(names) - defined) == []
@@ -81,7 +83,7 @@ def test_errors_of_invalid_arguments_are_listed() -> None:
         logic.limits = Limits(inferences=20_000)
         logic.output = logic.error_output = lambda text: None
     for keys, errors, _, _ in ROWS:
-        logic = systems[TRANSFORMS.issuperset(keys)]
+        logic = systems[ENGINE_PREDICATES.issuperset(keys)]
         name, _, arity = keys[0].rpartition("/")
         listed = {f"{error_name}({first})" if first else error_name for error_name, first in errors}
         for make_argument in INVALID_ARGUMENTS if int(arity) else []:

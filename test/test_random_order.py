@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, Tuple
 
 import pytest
-from python_path import ROOT, python_path
+from subprocess_python_path import ROOT, python_path
 
 pytestmark = pytest.mark.slow
 

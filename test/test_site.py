@@ -49,4 +49,5 @@ def test_index_of_section_links_to_all_pages(section: str) -> None:
 
 def test_ci_builds_site() -> None:
     script = (ROOT / ".ci" / "run").read_text(encoding="utf-8")
-    assert '"$python" install.py docs ||' in script
+    assert '"$1" install.py docs ||' in script
+    assert "build_site /usr/bin/python3" in script

@@ -56,9 +56,9 @@ def open_page(browser: Any, page: str) -> None:
 def test_page_of_program_has_all_files(browser: Any, program: Any) -> None:
     open_page(browser, f"cookbook/{program}/README")
     files = {
-        path.name: path.read_text(encoding="utf-8")
-        for path in (COOKBOOK / program).iterdir()
-        if path.suffix in (".txt", ".xml", ".py")
+        path.relative_to(COOKBOOK / program).as_posix(): path.read_text(encoding="utf-8")
+        for path in (COOKBOOK / program).rglob("*")
+        if path.suffix in (".txt", ".xml", ".py", ".yaml")
     }
     assert len(files) == 6
     captioned_blocks = dict(browser.ask(CAPTIONED_BLOCKS))

@@ -75,8 +75,8 @@ def test_hits_have_excerpts_with_searched_words(browser: Any) -> None:
 
 def test_excerpt_is_from_section_of_hit(browser: Any) -> None:
     search(browser, "The instant of a match")
-    (hit,) = [hit for hit in browser.ask(EXCERPTS) if "The instant of a match" in hit["title"]]
-    assert "emits another event at the instant of its end" in hit["excerpt"]
+    hits = [hit for hit in browser.ask(EXCERPTS) if "The instant of a match" in hit["title"]]
+    assert any("has the interval of its parts" in hit["excerpt"] for hit in hits)
 
 
 def test_excerpts_show_markup_as_text(browser: Any) -> None:

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any, Dict, List, Tuple
 
 import pytest
-from checked_access import compound, items, name_of, number
+from asserting_accessors import compound, items, name_of, number
 
 from retalis import BagReader, Definitions, Playback, deref
 

@@ -9,7 +9,7 @@ tf2_py = pytest.importorskip("tf2_py", reason="tf2 is not installed")
 genpy = pytest.importorskip("genpy")
 geometry_msgs = pytest.importorskip("geometry_msgs.msg")
 
-from checked_access import compound, items, name_of  # noqa: E402
+from asserting_accessors import compound, items, name_of  # noqa: E402
 
 from retalis import BagReader, Definitions, deref  # noqa: E402
 

@@ -18,6 +18,7 @@ def events(import_benchmark: Callable[[str], Any], monkeypatch: pytest.MonkeyPat
     return module
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_each_cell_has_figures(events: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     file = tmp_path / "figures.json"

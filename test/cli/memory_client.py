@@ -2,13 +2,16 @@
 
 import re
 from types import SimpleNamespace
-from typing import Any, Callable, Dict, List, Mapping, Optional, Tuple
+from typing import Any, Callable, Dict, List, Mapping, Optional, Sequence, Tuple
 
-from node.hosts import decode
+from node.in_memory_hosts import decode
 from node.memory_transport import MemoryTransport
 from source import ROOT
 
+from retalis import UsageError
 from retalis.cli.node_client import RunningNodes
+from retalis.messages.type_definition import Definition, SerializationFormat
+from retalis.messages.type_registry import InstalledTypes
 
 _FIELD = re.compile(r"^(?P<type>\w+(?:\[\])?)\s+(?P<name>\w+)")
 
@@ -26,9 +29,15 @@ class MemoryClient:
     Attributes:
         started_nodes: names of the started nodes.
         requested_names: arguments of `find_nodes`.
+        discovery_limits: arguments of `limit_discovery`.
+        end_of_time: see `ClientConnection`.
+        format: see `ClientConnection`.
         response_limits: time limits of the calls.
         is_ended: whether the connection has ended.
     """
+
+    end_of_time = 1 << 32
+    format = SerializationFormat.ROS1
 
     def __init__(
         self,
@@ -42,6 +51,7 @@ class MemoryClient:
         self.response_limits: List[float] = []
         self.started_nodes: List[str] = []
         self.requested_names: List[Optional[str]] = []
+        self.discovery_limits: List[float] = []
         self.is_ended = False
         self._network = network
         self._interfaces = interfaces or {}
@@ -49,6 +59,9 @@ class MemoryClient:
 
     def resolve_node(self, name: str) -> str:
         return name if name.startswith("/") else f"{self.namespace}{name}"
+
+    def limit_discovery(self, seconds: float) -> None:
+        self.discovery_limits.append(seconds)
 
     def find_nodes(self, requested_name: Optional[str] = None) -> RunningNodes:
         self.requested_names.append(requested_name)
@@ -80,6 +93,16 @@ class MemoryClient:
 
         transport = MemoryTransport(self._network, "/command")
         transport.subscribe(topic, "std_msgs/String", lambda source: Receiver(), 10)
+
+    def installed_types(self, extra_folders: Sequence[str]) -> InstalledTypes:
+        return InstalledTypes(extra_folders=extra_folders)
+
+    def advertise(self, topic: str, definition: Definition) -> Callable[[bytes], object]:
+        assert self.started_nodes
+        publication = MemoryTransport(self._network, "/command").advertise(topic, definition, 10)
+        if not publication.subscriber_count():
+            raise UsageError(f"topic {topic}: no node subscribes to it")
+        return publication.send
 
     def end(self) -> None:
         self.is_ended = True

@@ -271,3 +271,26 @@ def test_goal_output_with_json_is_on_stderr(
     assert captured.out.splitlines()
     assert all(map(json.loads, captured.out.splitlines()))
     assert set(captured.err.splitlines()) == {"loaded", "x"}
+
+
+def test_calls_have_answers_of_file(bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A delayed answer is an event between those of the bag."""
+    (tmp_path / "pub_sub.xml").write_text("<publish_subscribe></publish_subscribe>")
+    (tmp_path / "rules.txt").write_text(
+        "first(T) <- tf__0__tfMessage(_) with throttle(1000) where ros_param('/limit', T).\n"
+        "first(T) do ros_service('/dock', 'std_srvs/Trigger', std_srvs__0__Trigger_Request, d).\n"
+        "docked(T) <- first(T) seq service_reply(_, d, _).\n"
+    )
+    (tmp_path / "goalPredicates.txt").write_text(
+        "compile_event_file('rules.txt')\nsubscribe(docked(T), [], docked(T), out, i)\n"
+    )
+    answers = tmp_path / "answers.yaml"
+    answers.write_text("services: [{name: /dock, reply: {}, delay: 1}]\nparameters: {/limit: 40}\n")
+    command = ["bag", str(bag), "--program", str(tmp_path), "--topic", "/tf=tf/tfMessage"]
+    assert main([*command, "--answers", str(answers)]) == 0
+    (line,) = capsys.readouterr().out.splitlines()
+    assert line.startswith("output(docked(40),out)")
+    assert main(command) == 0
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert "there is no parameter /limit" in captured.err

@@ -3,7 +3,7 @@
 import json
 import os
 from pathlib import Path
-from typing import Any, Tuple
+from typing import Any, List, Tuple
 
 import pytest
 from recorded_calls import preceded_by
@@ -232,3 +232,134 @@ def test_missing_topic_file_has_similar_name(capsys: pytest.CaptureFixture[str],
         "pub_sub.xml: No such file or directory; did you mean pubsub.xml? [RT1000]"
         in run_check(capsys, folder)[1]
     )
+
+
+# ---- actions and services ----------------------------------------------------------------------------
+
+
+@pytest.fixture
+def docking(tmp_path: Path) -> Path:
+    """Return the folder of a program that observes an action, beside a package with its type."""
+    for folder, name in (("action", "Dock.action"), ("srv", "Go.srv")):
+        path = tmp_path / "lab" / folder / name
+        path.parent.mkdir(parents=True)
+        path.write_text("---\n---\nfloat64 distance\n" if folder == "action" else "---\n")
+    program = tmp_path / "docking"
+    program.mkdir()
+    (program / "goalPredicates.txt").write_text("compile_event_file('rules.txt')\n")
+    return program
+
+
+def check_docking(
+    capsys: pytest.CaptureFixture[str], program: Path, element: str, rules: str, *options: Any
+) -> List[str]:
+    """Return the findings for a program with an element in ``pub_sub.xml``, except for heads without a consumer."""
+    (program / "pub_sub.xml").write_text(f"<publish_subscribe>{element}</publish_subscribe>")
+    (program / "rules.txt").write_text(rules)
+    _, text = run_check(capsys, program, "--msg", program.parent / "lab", *options)
+    findings = [line for line in text.splitlines() if line.startswith(("error", "warning"))]
+    return [finding for finding in findings if "RT1202" not in finding]
+
+
+ACTION = '<observe_action name="dock" action_type="{}" event="dock"/>'
+FAR = "far(G) <- dock__feedback{goal_id: G, feedback: {distance: D}} where D > 5.\n"
+
+
+def test_program_with_action_has_no_findings(capsys: pytest.CaptureFixture[str], docking: Path) -> None:
+    rules = FAR + "near(D) <- dock__feedback(_, lab__0__Dock_Feedback(D)).\nsaid(S) <- dock__status(_, S).\n"
+    assert check_docking(capsys, docking, ACTION.format("lab/action/Dock"), rules) == []
+
+
+def test_misspelt_type_of_action_is_reported(capsys: pytest.CaptureFixture[str], docking: Path) -> None:
+    rules = "said(S) <- dock__status(_, S).\n"
+    assert check_docking(capsys, docking, ACTION.format("lab/Dok"), rules) == [
+        f"warning: {docking}/pub_sub.xml:1:20: there is no action type lab/Dok; did you mean lab/Dock? [RT1101]"
+    ]
+    element = '<observe_service name="go" srv_type="lab/Goo" event="go"/>'
+    assert check_docking(capsys, docking, element, "went <- go(_, _, _).\n")[0] == (
+        f"warning: {docking}/pub_sub.xml:1:20: there is no service type lab/Goo; did you mean lab/Go? [RT1101]"
+    )
+
+
+def test_misspelt_event_of_action_is_reported(capsys: pytest.CaptureFixture[str], docking: Path) -> None:
+    (finding,) = check_docking(capsys, docking, ACTION.format("lab/Dock"), "far(G) <- dock__fedback(G, _).\n")
+    assert "no producer of dock__fedback/2" in finding
+    assert "did you mean dock__feedback/2?" in finding
+
+
+def test_wrong_number_of_slots_of_action_is_reported(
+    capsys: pytest.CaptureFixture[str], docking: Path
+) -> None:
+    (finding,) = check_docking(capsys, docking, ACTION.format("lab/Dock"), "said(S) <- dock__status(S).\n")
+    assert "lab/Dock__status has 2 slots: goal_id, status" in finding
+
+
+def test_misspelt_status_of_action_is_reported(capsys: pytest.CaptureFixture[str], docking: Path) -> None:
+    rules = (
+        "begun(G) <- dock__status(G, '\"excuting\"').\n"
+        "ended(G) <- dock__status{goal_id: G, status: '\"aborted\"'}.\n"
+    )
+    (finding,) = check_docking(capsys, docking, ACTION.format("lab/Dock"), rules)
+    assert "status of lab/Dock__status is unknown or accepted or executing or" in finding
+    assert "did you mean executing?" in finding
+
+
+def test_action_is_compared_with_bags(
+    capsys: pytest.CaptureFixture[str], docking: Path, tmp_path: Path
+) -> None:
+    goal = Definitions().find("actionlib_msgs/GoalID")
+    for topic, expected in (
+        ("/dok/cancel", ["the bag has no action dock; did you mean dok?"]),
+        ("/dock/cancel", []),
+        ("/other", []),
+    ):
+        path = tmp_path / "a.bag"
+        with BagWriter(path) as bag:
+            bag.write(bag.add(topic, goal), 1, bytes(12))
+        findings = check_docking(capsys, docking, ACTION.format("lab/Dock"), FAR, "--bag", path)
+        assert [text.split(": ", 2)[2].partition(" [")[0] for text in findings] == expected
+        path.unlink()
+
+
+def test_rules_are_explained_in_words(capsys: pytest.CaptureFixture[str], folder: Path) -> None:
+    (folder / "eventRules.txt").write_text(
+        f"{RULES}quiet : silent <- hot(_) seq absent(hot(_), 5400). % retalis: ignore=RT1213\n"
+        "print_trigger(silent).\n"
+    )
+    assert run_check(capsys, folder, "--explain") == (
+        0,
+        f"hot(X) ({folder}/eventRules.txt:1)\n`hot(X)` is emitted when\n"
+        "- `my_robot__0__Heat(X, _)` ended before `hot(X)` started\n\n"
+        f"quiet ({folder}/eventRules.txt:3)\n`silent` is emitted when\n"
+        "- 1 h 30 min have passed since `hot(_)` ended, with no `hot(_)` between\n\n"
+        f"{folder}: no errors, no warnings\n",
+    )
+
+
+def test_json_has_explained_rules(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    rules = tmp_path / "rules.txt"
+    rules.write_text("p.\nnull do p <- (a or b) seq c.\n")
+    status, text = run_check(capsys, rules, "--explain", "--json")
+    assert status == 0
+    assert json.loads(text)["rules"] == [
+        {
+            "rule": "do p",
+            "file": str(rules),
+            "line": 2,
+            "text": "goal `p` is called when\n- P ended before `c` started\n  - P:\n    - `a` or `b` happened",
+        }
+    ]
+
+
+def test_clause_with_error_has_no_reading(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    rules = tmp_path / "rules.txt"
+    rules.write_text("a <- b c.\nd <- e.\n")
+    status, text = run_check(capsys, rules, "--explain")
+    assert status == 1
+    assert text.startswith(f"d ({rules}:2)\n`d` is emitted when\n- `e` happened\n\nerror: {rules}:1:8: ")
+
+
+def test_missing_file_has_no_readings(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    status, text = run_check(capsys, tmp_path / "none.txt", "--explain")
+    assert status == 1
+    assert "cannot read" in text

@@ -8,7 +8,7 @@ from typing import Any, Dict, Set
 from xml.etree import ElementTree
 
 import pytest
-from python_path import python_path
+from subprocess_python_path import python_path
 
 from retalis.cli import command_line
 from retalis.cli.command_line import COMMANDS, main, make_parser
@@ -111,6 +111,7 @@ def test_help_of_each_command_has_common_form(name: Any, parser: Any) -> None:
         assert text
         assert text[-1] not in ".:", text
         assert text == argparse.SUPPRESS or not text[:2].istitle(), text
+        assert not text.startswith("its "), f"{text}: completion shows this text alone"
         if action.nargs != 0:
             value_name = action.metavar or "".join(action.choices or ())
             assert value_name, f"{name} {action.dest}: a word for its value"

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, List
 
 import pytest
-from python_path import python_path
+from subprocess_python_path import python_path
 
 from retalis import UsageError
 from retalis.cli import completion, node_client_commands

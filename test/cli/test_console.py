@@ -14,8 +14,8 @@ from types import SimpleNamespace
 from typing import Any, List
 
 import pytest
-from checked_access import compound
-from python_path import python_path
+from asserting_accessors import compound
+from subprocess_python_path import python_path
 
 from retalis import Limits, Operators, Settings
 from retalis.cli.command_line import main
@@ -62,6 +62,8 @@ def ask(capsys: pytest.CaptureFixture[str]) -> Any:
         ("X = 1,\n  Y = 2.", "X = 1,\nY = 2.\n"),
         ("X = 'a.b'.", "X = 'a.b'.\n"),
         ("% a comment\nX = 1. % another", "X = 1.\n"),
+        ("X = 1 % a comment.\n.", "X = 1.\n"),
+        ("X = 0'.\n.", "X = 46.\n"),
         ("halt.\nX = 1.", ""),
     ],
 )
@@ -378,6 +380,35 @@ def test_goal_from_pipe_reads_end_of_file(ask: Any) -> None:
 
 
 @pytest.mark.parametrize(
+    ("goal", "answer"),
+    [
+        ("X = 1", "X = 1.\n"),
+        ("X = 1.", "X = 1.\n"),
+        ("X = 1. % a note", "X = 1.\n"),
+        ("X = 1 % a note", "X = 1.\n"),
+        ("X = 1 % a note.", "X = 1.\n"),
+        ("X = 1. Y = 2", "X = 1.\nY = 2.\n"),
+        ("X = 0'.", "X = 46.\n"),
+        ("X = 'a.'", "X = 'a.'.\n"),
+        ("X = 1 /* a note. */", "X = 1.\n"),
+    ],
+)
+def test_full_stop_of_option_goal_may_be_omitted(
+    goal: str, answer: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["console", "--goal", goal]) == 0
+    assert capsys.readouterr() == (answer, "")
+
+
+@pytest.mark.parametrize("goal", ["X = 'a", "X = 'a.", "X = 1 /* a note", "f(X", "f(X.", "", "% a note"])
+def test_option_goal_has_one_syntax_error(goal: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["console", "--goal", goal]) == 1
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert captured.err.count("error: user:") == 1
+
+
+@pytest.mark.parametrize(
     ("goals", "status"),
     [(["true"], 0), (["fail"], 1), (["true", "fail"], 1), (["member(X, [1,2])"], 0), (["X = f("], 1)],
 )
@@ -386,3 +417,12 @@ def test_option_goal_has_exit_status(
 ) -> None:
     assert main(["console", *(f"--goal={goal}" for goal in goals)]) == status
     assert ("false." in capsys.readouterr().out) == ("fail" in goals)
+
+
+def test_goals_have_answers_of_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "answers.yaml").write_text("parameters: {/limit: 40}\n")
+    assert (
+        main(["console", "--answers", str(tmp_path / "answers.yaml"), "--goal", "ros_param('/limit', L)"])
+        == 0
+    )
+    assert capsys.readouterr().out == "L = 40.\n"

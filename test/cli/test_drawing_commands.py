@@ -25,7 +25,14 @@ def test_graph_is_printed_or_written(
     assert captured.err == ""
     assert 'label="application_source"' in captured.out
     assert "_G" not in captured.out  # numbers of variables differ from one drawing to the next
-    for name in ("tf", "ar_marker/5", "odom_base", "transform_marker", "marker8", "eventRules.txt:74"):
+    for name in (
+        "tf",
+        "ar_marker/5",
+        "odom_base",
+        "transform_marker",
+        "marker8",
+        "face_by_marker(Name,Marker,Text)",
+    ):
         assert f'label="{name}' in captured.out
     assert main(["graph", ".", "-o", str(tmp_path / "nao.dot")]) == 0
     assert (tmp_path / "nao.dot").read_text() == captured.out

@@ -9,8 +9,9 @@ from pathlib import Path
 from typing import Any, Dict, List, Tuple
 
 import pytest
-from checked_access import required
-from python_path import python_path
+from asserting_accessors import required
+from subprocess_python_path import python_path
+from subprocess_timeouts import running
 
 from retalis import Engine
 from retalis.cli.command_line import main
@@ -253,10 +254,15 @@ def test_failed_goal_is_an_error_with_position(run: Any) -> None:
 
 
 def test_missing_files_are_errors(run: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["events", "--rules", str(tmp_path / "no.txt")]) == 1
-    assert main(["events", "--stream", str(tmp_path / "no.txt")]) == 1
-    assert main(["events", "--stream", os.devnull, "--outputs", str(tmp_path / "no" / "no.txt")]) == 1
-    assert capsys.readouterr().err.count("no.txt") == 3
+    missing, output = tmp_path / "no.txt", tmp_path / "no" / "no.txt"
+    assert main(["events", "--rules", str(missing)]) == 1
+    assert main(["events", "--stream", str(missing)]) == 1
+    assert main(["events", "--stream", os.devnull, "--outputs", str(output)]) == 1
+    assert capsys.readouterr().err.splitlines() == [
+        f"retalis: cannot read {missing}: No such file or directory",
+        f"retalis: cannot read {missing}: No such file or directory",
+        f"retalis: cannot write {output}: No such file or directory",
+    ]
 
 
 def test_stream_in_other_encoding_is_an_error(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -436,14 +442,14 @@ def test_term_may_span_several_lines(run: Any, monkeypatch: pytest.MonkeyPatch) 
 def test_event_is_printed_before_next_line(tmp_path: Path) -> None:
     rules = tmp_path / "rules.txt"
     rules.write_text("pong(X) <- ping(X).\n")
-    child = subprocess.Popen(
-        [sys.executable, "-m", "retalis", "events", "--rules", str(rules), "--stream", "-"],
+    command = [sys.executable, "-m", "retalis", "events", "--rules", str(rules), "--stream", "-"]
+    with running(
+        command,
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         env={"PYTHONPATH": python_path(), "PATH": "/usr/bin:/bin"},
         bufsize=0,
-    )
-    try:
+    ) as child:
         for number in (1, 2):
             required(child.stdin).write(f"event(ping({number}),[{number},{number}]).\n".encode())
             assert required(child.stdout).readline().startswith(b"event(ping")
@@ -452,30 +458,21 @@ def test_event_is_printed_before_next_line(tmp_path: Path) -> None:
             )
         required(child.stdin).close()
         assert child.wait(30) == 0
-    finally:
-        child.kill()
-        child.wait()
-        required(child.stdout).close()
 
 
 def test_closed_reader_ends_command_silently(tmp_path: Path) -> None:
     stream = tmp_path / "stream.txt"
     stream.write_text("".join(f"event(a({number}),[{number},{number}]).\n" for number in range(20000)))
-    child = subprocess.Popen(
+    with running(
         [sys.executable, "-m", "retalis", "events", "--stream", str(stream)],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         env={"PYTHONPATH": python_path(), "PATH": "/usr/bin:/bin"},
-    )
-    try:
+    ) as child:
         assert required(child.stdout).readline() == b"event(a(0),[0,0]).\n"
         required(child.stdout).close()
         assert required(child.stderr).read() == b""
         assert child.wait(30) == 1
-    finally:
-        child.kill()
-        child.wait()
-        required(child.stderr).close()
 
 
 def test_missing_options_are_a_usage_error(capsys: pytest.CaptureFixture[str]) -> None:
@@ -540,6 +537,7 @@ def test_unread_standard_input_is_warned_of(
         capture_output=True,
         text=True,
         check=True,
+        timeout=60,
     )
     assert ("standard input was not read; --stream -" in process.stderr) is is_warned
     assert process.stdout == ("" if is_warned else "event(smoke(a),[1,2]).\n")
@@ -643,6 +641,7 @@ by_count(R, N) <- aggregate(count, task(R), N, every(2, events)).
 sum(N) <- aggregate(count, task(_), N, running(every(10))).
 hopping(N) <- aggregate(count, task(_), N, last(20, every(5))).
 sliding(N) <- aggregate(count, task(_), N, last(20)).
+by_pause(R, N) <- aggregate(count, task(R), N, session(3, max(60))).
 null do true <- aggregate(count, task(_), _, every(7, events)).
 """
 OPEN_WINDOW_STREAM = """\
@@ -662,7 +661,9 @@ def test_open_windows_are_printed_at_end(run: Any) -> None:
         f"% window every(2,events) of by_count(R,N) for R = b {since},12,0), with 1 element",
         f"% window running(every(10)) of sum(N) {since},10,0), with 3 elements",
         "% window last(20,every(5)) of hopping(N) is open since datime(2025,12,31,23,59,55,0), with 3 elements",
-        f"% window every(7,events) of null {since},11,0), with 3 elements",
+        f"% window session(3,max(60)) of by_pause(R,N) for R = b {since},12,0), with 1 element",
+        f"% window session(3,max(60)) of by_pause(R,N) for R = a {since},14,0), with 1 element",
+        f"% window every(7,events) of do true {since},11,0), with 3 elements",
     ]
 
 
@@ -674,6 +675,7 @@ def test_flushed_windows_are_not_open(run: Any) -> None:
         {
             "open_window": "every(30,first)",
             "rule": "by_first(N)",
+            "name": "by_first(N)",
             "key": {},
             "elements": 3,
             "start": start,
@@ -682,6 +684,7 @@ def test_flushed_windows_are_not_open(run: Any) -> None:
         {
             "open_window": "every(2,events)",
             "rule": "by_count(R,N)",
+            "name": "by_count(R,N)",
             "key": {"R": "b"},
             "elements": 1,
             "start": start + 10**9,
@@ -742,3 +745,32 @@ def test_command_and_engine_derive_same_events(run: Any, offsets: Dict[Any, Any]
     printed = [required(event_of(read_term(line, engine.operators, "line").term)) for line in lines]
     assert len(outputs) > 1000
     assert [f"{engine.show(event.term)} {event.start} {event.end}" for event in printed] == outputs
+
+
+CALLING_RULES = """\
+press do ros_service('/dock', 'std_srvs/Trigger', std_srvs__0__Trigger_Request, d).
+docked <- service_reply(_, d, _).
+hot(T) <- heat(T) where (ros_param('/limit', Limit), T > Limit).
+"""
+ANSWERS = "services: [{name: /dock, reply: {success: true}, delay: 2}]\nparameters: {/limit: 40}\n"
+
+
+def test_calls_have_answers_of_file(run: Any) -> None:
+    """A delayed answer is an event between those of the stream, or within the time of ``--flush``."""
+    stream = "event(press, [1,1]).\nevent(heat(41), [5,5]).\nevent(press, [6,6]).\n"
+    status, lines, errors = run("--flush", "3", rules=CALLING_RULES, stream=stream, answers=ANSWERS)
+    assert (status, errors) == (0, "")
+    assert [line for line in lines if not line.startswith("event(service")] == [
+        "event(press,[1,1]).",
+        "event(docked,[3,3]).",
+        "event(heat(41),[5,5]).",
+        "event(hot(41),[5,5]).",
+        "event(press,[6,6]).",
+        "event(docked,[8,8]).",
+    ]
+
+
+def test_call_within_flush_has_time_of_its_alarm(run: Any) -> None:
+    rules = f"press <- start seq absent(stop, 2). {CALLING_RULES}called <- service_call(_, d, _)."
+    _, lines, _ = run("--flush", "10", rules=rules, stream="event(start, [1,1]).\n")
+    assert "event(called,[3,3])." in lines

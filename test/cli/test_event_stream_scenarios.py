@@ -2,10 +2,10 @@
 
 import json
 from pathlib import Path
-from typing import Any, List
+from typing import Any, List, NamedTuple
 
 import pytest
-from checked_access import items
+from asserting_accessors import items
 from events.program_runner import term_text
 from events.test_scenarios import BASE, SCENARIOS, expected_results, short
 
@@ -19,51 +19,64 @@ STAMPED = ("event1_same_second",)
 """Scenarios with stamps of the clock, which differs from that of the command."""
 
 
-class Run:
-    """A scenario and its printed terms."""
+class Run(NamedTuple):
+    """Results of a scenario, as the command prints them.
 
-    def __init__(self, data: Any, capsys: pytest.CaptureFixture[str]) -> None:
-        rules = data["rules"] if isinstance(data["rules"], list) else [data["rules"]]
-        stream = [f"{goal}." for goal in data.get("goals_after_compile") or ()]
-        for item in data["stream"]:
-            if isinstance(item, dict):
-                stream.append(f"{item['goal']}.")
-            else:
-                stream.append(f"event({item[0]},[{item[1][0]},{item[1][1]}]).")
-        arguments = [
-            "events",
-            "--memory-events",
-            "--clock",
-            CLOCK,
-            "--outputs",
-            "outputs.out",
-            "--write-folder",
-            ".",
-        ]
-        arguments += write_option("goals", [f"{goal}." for goal in data["goals"]])
-        for number, text in enumerate(rules):
-            arguments += write_option(f"rules{number}", [text] if text else [])
-        arguments += write_option("stream", stream)
-        arguments += write_option("queries", [f"{goal}." for goal in data.get("queries") or ()])
-        self.status = main(arguments)
-        self.events: List[Any] = []
-        self.memory_events: List[Any] = []
-        self.printed: List[Any] = []
-        captured = capsys.readouterr()
-        self.error = captured.err
-        for term in read_printed_terms(captured.out):
-            self._add_term(term)
-        with open("outputs.out", encoding="utf-8") as file:
-            self.outputs = [term_text(term) for term in read_printed_terms(file.read())]
+    Attributes:
+        status: exit status.
+        error: text of standard error.
+        events: texts of the events with their start and end in ns.
+        memory_events: the same of the events about memories.
+        printed: texts of all other printed terms.
+        outputs: texts of the outputs.
+    """
 
-    def _add_term(self, term: Any) -> None:
+    status: int
+    error: str
+    events: List[Any]
+    memory_events: List[Any]
+    printed: List[Any]
+    outputs: List[Any]
+
+
+def run_scenario(data: Any, capsys: pytest.CaptureFixture[str]) -> Run:
+    """Run the command in the working folder."""
+    status = main(write_inputs(data))
+    captured = capsys.readouterr()
+    run = Run(status, captured.err, [], [], [], [])
+    for term in read_printed_terms(captured.out):
         functor_name = term[0].name if term.__class__ is tuple else ""
-        if functor_name not in ("event", "memory_event"):
-            self.printed.append(term_text(term))
-            return
-        start, end = (from_term(stamp) for stamp in items(term[2]))
-        events = self.events if functor_name == "event" else self.memory_events
-        events.append((term_text(deref(term[1])), start, end))
+        if functor_name in ("event", "memory_event"):
+            start, end = (from_term(stamp) for stamp in items(term[2]))
+            events = run.events if functor_name == "event" else run.memory_events
+            events.append((term_text(deref(term[1])), start, end))
+        else:
+            run.printed.append(term_text(term))
+    run.outputs.extend(map(term_text, read_printed_terms(Path("outputs.out").read_text(encoding="utf-8"))))
+    return run
+
+
+def write_inputs(data: Any) -> List[str]:
+    """Write the files of a scenario to the working folder; return the arguments of the command."""
+    rules = data["rules"] if isinstance(data["rules"], list) else [data["rules"]]
+    stream = [f"{goal}." for goal in data.get("goals_after_compile") or ()]
+    for item in data["stream"]:
+        if isinstance(item, dict):
+            stream.append(f"{item['goal']}.")
+        else:
+            stream.append(f"event({item[0]},[{item[1][0]},{item[1][1]}]).")
+    return [
+        *("events", "--memory-events", "--clock", CLOCK),
+        *("--outputs", "outputs.out", "--write-folder", "."),
+        *write_option("goals", [f"{goal}." for goal in data["goals"]]),
+        *(
+            word
+            for number, text in enumerate(rules)
+            for word in write_option(f"rules{number}", text and [text])
+        ),
+        *write_option("stream", stream),
+        *write_option("queries", [f"{goal}." for goal in data.get("queries") or ()]),
+    ]
 
 
 def write_option(name: str, lines: Any) -> Any:
@@ -75,14 +88,11 @@ def write_option(name: str, lines: Any) -> Any:
     return [f"--{name.rstrip('0123456789')}", f"{name}.in"]
 
 
-def read_printed_terms(text: str) -> Any:
-    """Return the printed terms, without other lines that a program prints."""
-    printed_terms: List[Any] = []
-    for line in text.splitlines():
-        for read_term in read_program(line, Operators.prolog(), "printed"):
-            if not isinstance(read_term, SyntaxFault):
-                printed_terms.append(deref(read_term.term))
-    return printed_terms
+def read_printed_terms(text: str) -> List[Any]:
+    """Return the terms of a printed text."""
+    read_terms = list(read_program(text, Operators.prolog(), "printed"))
+    assert [read_term for read_term in read_terms if isinstance(read_term, SyntaxFault)] == []
+    return [deref(read_term.term) for read_term in read_terms if not isinstance(read_term, SyntaxFault)]
 
 
 def events_agree(events: Any, expected_events: Any) -> bool:
@@ -109,7 +119,7 @@ def test_recorded_scenario_is_reproduced(
     monkeypatch.chdir(tmp_path)
     for name, text in (data.get("files") or {}).items():
         (tmp_path / name).write_text(text, encoding="utf-8")
-    run = Run(data, capsys)
+    run = run_scenario(data, capsys)
     expected = expected_results(path.stem, data)
     if expected.short is None or path.stem in STAMPED:
         assert events_agree(run.events, expected.events)

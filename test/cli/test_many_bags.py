@@ -157,3 +157,48 @@ def test_conflicting_options_are_errors(
 def test_url_needs_jobs(program: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["bag", "s3://bucket/a.bag", "--program", program]) == 1
     assert "s3://bucket/a.bag: --jobs plays bags of URLs, each by itself" in capsys.readouterr().err
+
+
+RULES = "frequent(Text) <- std_msgs__0__String(Text) where Text == '\"x\"'.\n"
+
+
+def list_coverage(capfd: pytest.CaptureFixture[str], *options: str) -> str:
+    """Return the coverage that a run prints."""
+    assert main(["bag", "--quiet", "--coverage", *options]) == 0
+    return capfd.readouterr().err
+
+
+@pytest.mark.slow
+def test_coverage_is_that_of_all_bags(
+    program: str, tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    with (tmp_path / "program" / "eventRules.txt").open("a") as file:
+        file.write(RULES)
+    first, second = (
+        make_bag(tmp_path / f"r_{number}.bag", text, start=number) for number, text in ((1, "x"), (5, "y"))
+    )
+    common = ("--program", "program")
+    text = list_coverage(capfd, str(first), *common)
+    assert text.startswith("coverage        used   all\nrule               1     2\n")
+    assert "not used: again(Text) (program/eventRules.txt:1): rule again(" in text
+    assert "not used: frequent(Text) (program/eventRules.txt:2): condition 1 false, " in text
+    reports = []
+    for options in ((), ("--jobs", "2"), ("--jobs", "1", "--parts")):
+        text = list_coverage(
+            capfd, str(first), str(second), *common, *options, "--html", "a.html", "--cobertura", "a.xml"
+        )
+        assert "condition" not in text.split("not used: ", 1)[1]
+        reports.append(
+            (text, Path("a.html").read_text(encoding="utf-8"), Path("a.xml").read_text(encoding="utf-8"))
+        )
+    assert reports[0] == reports[1] == reports[2]
+    assert "<h1>Coverage of program</h1>" in reports[0][1]
+
+
+def test_coverage_file_that_cannot_be_written_is_an_error(
+    program: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    bag = make_bag(tmp_path / "a.bag", "x")
+    assert main(["bag", str(bag), "--program", program, "--quiet", "--html", str(tmp_path)]) == 1
+    assert capfd.readouterr().err.startswith(f"retalis: cannot write {tmp_path}: ")

@@ -85,6 +85,10 @@ def test_unreadable_type_of_bag_has_reason(tmp_path: Path, capsys: pytest.Captur
     [
         ("only_in_bags/Point", "retalis: no definition of the message type only_in_bags/Point"),
         ("Point", 'expected a message type "package/Type"'),
+        (
+            "std_srvs/Trigger",
+            "std_srvs/Trigger is a service: its messages are std_srvs/Trigger_Request and std_srvs/Trigger_Response",
+        ),
     ],
 )
 def test_unknown_type_is_an_error(name: str, error: str, capsys: pytest.CaptureFixture[str]) -> None:

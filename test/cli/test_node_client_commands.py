@@ -8,7 +8,7 @@ from typing import Any, Callable, Iterator, List
 
 import pytest
 from cli.memory_client import MemoryClient
-from node.hosts import Robot, start_host
+from node.in_memory_hosts import Robot, start_host
 from node.memory_transport import MemoryNetwork, MemoryTransport
 
 from retalis import UsageError
@@ -142,8 +142,21 @@ def test_invalid_interval_is_an_error(client: MemoryClient, error: Any, every: s
     assert line.startswith("retalis: --every: expected a number above 0")
 
 
+def test_stamp_beyond_times_of_middleware_is_an_error(
+    client: MemoryClient, error: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(client, "end_of_time", 1 << 31)
+    assert error("query", "true", "--stamp", "2147483648") == (
+        "retalis: --stamp: expected seconds since the epoch, below 2147483648, found 2.14748e+09\n"
+    )
+
+
+@pytest.mark.parametrize(
+    ("stamp", "nanoseconds"),
+    [("4294967295.5", 4_294_967_295_500_000_000), ("1.001", 1_001_000_000), ("0.3", 300_000_000)],
+)
 def test_stamp_keeps_its_digits(
-    client: MemoryClient, node: Any, network: Any, output: Any, monkeypatch: pytest.MonkeyPatch
+    client: MemoryClient, node: Any, network: Any, output: Any, stamp: str, nanoseconds: int
 ) -> None:
     requests: List[Any] = []
 
@@ -152,14 +165,14 @@ def test_stamp_keeps_its_digits(
         return {"result": "ok", "complete": True, "solutions": [{"bindings": []}]}
 
     node.transport.offer_service("~query", "Query", handle)
-    output("query", "true", "--stamp", "4294967295.5", "--seconds", "2", "--wait-for", "m")
+    output("query", "true", "--stamp", stamp, "--seconds", "2", "--wait-for", "m")
     assert vars(requests[0]) == {
         "goal": "true",
         "max_solutions": 100,
         "seconds": 2.0,
         "inferences": 0,
         "wait_for": ["m"],
-        "stamp": 4_294_967_295_500_000_000,
+        "stamp": nanoseconds,
         "timeout": 10.0,
     }
 
@@ -352,6 +365,7 @@ def test_node_without_outputs_cannot_be_watched(network: Any, connect: Any, erro
 
 def test_names_are_completed(client: MemoryClient) -> None:
     assert list_names("nodes", None) == ["/retalis"]
+    assert client.discovery_limits == [1.5]
     assert list_names("memories", None) == list_names("memories", "retalis") == ["numbers"]
     assert list_names("memories", "other") == []
     assert client.is_ended
@@ -364,6 +378,7 @@ def test_console_solves_goals_by_node(
     assert output(*console, "--goal", "X = 1 ; X = 2", "--goal", "true.") == "X = 1 ;\nX = 2.\ntrue.\n"
     assert output(*console, "--goal", "fail", status=1) == "false.\n"
     assert output(*console, "--json", "--goal", "member(X, [1, a])") == '{"X": 1}\n{"X": "a"}\n'
+    assert output(*console, "--goal", "X = 1 % a note.") == "X = 1.\n"
     assert main([*console, "--goal", "f(X"]) == 1
     assert "column" in capsys.readouterr().err
 

@@ -62,6 +62,11 @@ def test_list_names_published_and_subscribed_topics() -> None:
     ]
 
 
+def test_list_of_rules_begins_with_names() -> None:
+    lines = format_list({**LISTED, "rules": [{"label": "", "text": "a<-b", "name": "a"}]})
+    assert lines[-2:] == ["  name  label  text", "  a            a<-b"]
+
+
 def test_list_shortens_values_to_one_line() -> None:
     for value, text in (
         ("a\nb" + "c" * 100, "a b" + "c" * 54 + "..."),
@@ -75,7 +80,14 @@ def test_list_shortens_values_to_one_line() -> None:
 
 
 NODE = {"node": "/a", "now": 100.0, "work": "", "taken": 0, "fired": 0, "queued": 0, "errors": 0}
-RULE = {"label": "", "text": "a <- b", "place": "/x/rules.txt:1:1", "fired": 2, "last_fired": 75.0}
+RULE = {
+    "label": "",
+    "text": "a <- b",
+    "place": "/x/rules.txt:1:1",
+    "fired": 2,
+    "last_fired": 75.0,
+    "name": "a",
+}
 RULE = {**RULE, "errors": 0, "waiting": 0, "dropped": 0}
 
 
@@ -85,8 +97,8 @@ def test_status_has_rates_and_ages() -> None:
         "/a  active  3.0 events/s  0.5 firings/s",
         "",
         "rules",
-        "  rule    firings/s  last",
-        "  a <- b  0.5        35s",
+        "  rule  place        firings/s  last",
+        "  a     rules.txt:1  0.5        35s",
     ]
 
 
@@ -101,15 +113,15 @@ def test_status_shows_problems_and_hides_zeros() -> None:
         "errors": 2,
         "more_rules": 3,
     }
-    rows = [RULE, {**RULE, "label": "second", "errors": 2}]
+    rows = [RULE, {**RULE, "label": "second", "name": "second", "errors": 2}]
     lines = format_status(NODE, {**NODE, **busy, "rules": rows}, 1.0, 100)
     assert lines[0] == (
         "/a  busy for 1m15s with event a: goal g  0.0 events/s  0.0 firings/s  errors 2  3 more rules"
     )
     assert [line.split() for line in lines[3:]] == [
-        ["rule", "firings/s", "last", "errors"],
-        ["a", "<-", "b", "-", "25s", "0"],
-        ["second", "-", "25s", "2"],
+        ["rule", "place", "firings/s", "last", "errors"],
+        ["a", "rules.txt:1", "-", "25s", "0"],
+        ["second", "rules.txt:1", "-", "25s", "2"],
     ]
 
 

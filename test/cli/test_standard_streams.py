@@ -9,8 +9,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from checked_access import required
-from python_path import python_path
+from asserting_accessors import required
+from subprocess_python_path import python_path
+from subprocess_timeouts import running
 
 from retalis import BagWriter, Definitions
 
@@ -128,6 +129,7 @@ def test_interrupt_of_import_has_status_130(folder: Path, module: str) -> None:
         env={**os.environ, "PYTHONPATH": python_path()},
         capture_output=True,
         text=True,
+        timeout=60,
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
     )
     assert (process.stdout, process.stderr, process.returncode) == ("", "", 130)
@@ -137,7 +139,7 @@ def test_interrupt_of_import_has_status_130(folder: Path, module: str) -> None:
 @pytest.mark.parametrize("is_piped", [True, False])
 def test_interrupt_of_goal_has_status_130(folder: Path, is_piped: bool) -> None:
     goal = "write(started), nl, repeat, fail."
-    command = subprocess.Popen(
+    with running(
         [sys.executable, "-m", "retalis", "console", *([] if is_piped else ["--goal", goal])],
         cwd=folder,
         env={**os.environ, "PYTHONPATH": python_path()},
@@ -146,8 +148,7 @@ def test_interrupt_of_goal_has_status_130(folder: Path, is_piped: bool) -> None:
         stderr=subprocess.PIPE,
         text=True,
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
-    )
-    try:
+    ) as command:
         if is_piped:
             commands = required(command.stdin)
             commands.write(f"{goal}\ntrue.\n")
@@ -155,6 +156,4 @@ def test_interrupt_of_goal_has_status_130(folder: Path, is_piped: bool) -> None:
         assert required(command.stdout).readline() == "started\n"
         command.send_signal(signal.SIGINT)
         output, errors = command.communicate(timeout=60)
-    finally:
-        command.kill()
     assert (output, errors, command.returncode) == ("", "", 130)

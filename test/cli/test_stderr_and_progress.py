@@ -1,5 +1,6 @@
 """Progress bar: share, count, rate and remaining time; colours of labels."""
 
+import logging
 import sys
 from io import StringIO
 from typing import Type
@@ -7,7 +8,13 @@ from typing import Type
 import pytest
 
 from retalis import RetalisError
-from retalis.cli.stderr_and_progress import ProgressBar, StderrReporter, paint, show_progress
+from retalis.cli.stderr_and_progress import (
+    ProgressBar,
+    StderrReporter,
+    detach_reporters,
+    paint,
+    show_progress,
+)
 
 
 class Clock:
@@ -76,3 +83,14 @@ def test_colours_can_be_switched_off(monkeypatch: pytest.MonkeyPatch, name: str,
     monkeypatch.setenv("TERM", "xterm")
     monkeypatch.setenv(name, value)
     assert paint("warning", "warning", Terminal()) == "warning"
+
+
+def test_texts_of_goals_have_their_level_and_are_no_problems(capsys: pytest.CaptureFixture[str]) -> None:
+    reporter = StderrReporter().attach()
+    try:
+        for level in (logging.DEBUG, logging.INFO, logging.ERROR):
+            logging.getLogger("retalis.goals").log(level, "%s", "hot\x1b[2J")
+    finally:
+        detach_reporters()
+    assert capsys.readouterr().err == "info: hot\\x1b[2J\nerror: hot\\x1b[2J\n"
+    assert reporter.errors == 0

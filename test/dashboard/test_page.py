@@ -34,6 +34,13 @@ ROWS = """
 """
 """Expression for the rows of a table: the texts of the further cells by the text of the first one."""
 
+RULE_ROWS = """
+    [...document.querySelectorAll("#rules tbody tr")].map((row) => Object.fromEntries(
+      [...document.querySelectorAll("#rules th")].map((heading, column) =>
+        [heading.innerText, row.cells[column].innerText])))
+"""
+"""Expression for the rows of the table of rules: the texts of the cells by the heading of their column."""
+
 TILES = """
     Object.fromEntries([...document.querySelectorAll("#tiles .tile")].map((tile) =>
       [tile.children[1].textContent, tile.children[0].textContent]))
@@ -42,7 +49,7 @@ NODES = """
     [...document.querySelectorAll("#graph g")].map((group) =>
       [group.querySelector("rect").className.baseVal.replace("k-", ""), group.querySelector("title").textContent])
 """
-"""Expression for the kind and the text of each node of the graph."""
+"""Expression for the kind and the title of each node of the graph."""
 
 EDGES = """[...document.querySelectorAll("#graph path.edge")].map((edge) => edge.classList[1])"""
 KIND_COLOURS = """
@@ -162,17 +169,29 @@ def test_rules_show_their_counters(page: Any, program: Any) -> None:
     program.event("heat(hall)", 3)
     wait_for_update(page)
     rules = program.status().rules
-    rows = page.ask(
-        "[...document.querySelectorAll('#rules tbody tr')].map((row) => row.innerText.split('\\t'))"
-    )
-    assert [row[1] for row in rows] == [str(rule.fired) for rule in rules] == ["1", "0", "1"]
-    assert [row[7] for row in rows] == [str(rule.errors) for rule in rules] == ["0", "0", "1"]
-    assert [row[4] for row in rows] == [str(rule.waiting) for rule in rules]
-    assert [row[5] for row in rows] == [str(rule.keys) for rule in rules]
-    assert rows[2][0].startswith("hot")
-    assert rows[2][3] == "1.00 s ago"
+    rows = page.ask(RULE_ROWS)
+    assert [row["fired"] for row in rows] == [str(rule.fired) for rule in rules] == ["1", "0", "1"]
+    assert [row["errors"] for row in rows] == [str(rule.errors) for rule in rules] == ["0", "0", "1"]
+    assert [row["items"] for row in rows] == [str(rule.waiting) for rule in rules]
+    assert [row["keys"] for row in rows] == [str(rule.keys) for rule in rules]
+    titles = ["alarm(X) (text:1)", "seen(X) (text:1)", "hot (rules.txt:1)"]
+    assert all(row["rule"].startswith(title) for row, title in zip(rows, titles))
+    assert rows[2]["last"] == "1.00 s ago"
     for rule in rules:
         assert rule.text in text_of(page, "#rules")
+
+
+def test_graph_names_rules_by_name_and_line(page: Any, program: Any) -> None:
+    program.load(
+        rules="\nfire(Room) <- smoke(Room).\na_rule_with_a_long_name(X) <- heat(X).", source="/p/rules.txt"
+    )
+    page.wait_for("document.querySelectorAll('#graph rect.k-rule').length === 4")
+    nodes = "[...document.querySelectorAll('#graph rect.k-rule')].map(rect => rect.parentElement.textContent)"
+    texts = sorted(page.ask(nodes))
+    assert texts[0] == (
+        "a_rule_with_a_long_name(X) (rules.txt:3)\na_rule_with_a_long_name(X) <- heat(X)a_rule_with_a… :3"
+    )
+    assert texts[2] == "fire(Room) (rules.txt:2)\nfire(Room) <- smoke(Room)fire(Room) :2"
 
 
 def test_items_beyond_limit_are_counted(page: Any, program: Any) -> None:
@@ -203,7 +222,7 @@ def test_running_goal_is_shown(page: Any, program: Any) -> None:
         released.set()
         thread.join()
     assert re.fullmatch(
-        r"Busy for 1.\d+ s with start: rule null_event: goal spin, for event start, at text:1:1", text
+        r"Busy for \d+\.\d+ s with start: rule do spin: goal spin, for event start, at text:1:1", text
     )
     page.wait_for("document.getElementById('busy').hidden")
 
@@ -212,7 +231,11 @@ def test_graph_shows_nodes_and_edges_of_program(page: Any, program: Any) -> None
     program.load(rules="quiet(X) <- (smoke(X) seq heat(X)) cnot known(X) where owner(X). owner(hall).")
     graph = program_graph(program, GRAPH_TOPICS)
     page.wait_for(f"document.querySelectorAll('#graph g').length === {len(graph.nodes)}")
-    assert sorted(page.ask(NODES)) == sorted([node.kind, node.text] for node in graph.nodes)
+    expected = [
+        [node.kind, f"{node.label}\n{node.text}" if node.kind == "rule" else node.text]
+        for node in graph.nodes
+    ]
+    assert sorted(page.ask(NODES)) == sorted(expected)
     assert sorted(page.ask(EDGES)) == sorted(edge.kind for edge in graph.edges)
     assert {edge.kind for edge in graph.edges} == {"flow", "absent", "reads"}
 

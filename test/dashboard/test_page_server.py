@@ -9,13 +9,14 @@ from contextlib import ExitStack
 from typing import Any, Iterator
 
 import pytest
-from python_path import python_path
+from subprocess_python_path import python_path
 
 pytest.importorskip("tornado", reason="tornado is not installed")
 
 from dashboard_client import TIMEOUT_SECONDS, Visitor, engine, serving  # noqa: E402
 
 from retalis import UsageError  # noqa: E402
+from retalis.dashboard import request_handlers  # noqa: E402
 from retalis.dashboard.page_server import Dashboard  # noqa: E402
 from retalis.dashboard.request_handlers import FILES, MAX_CONNECTIONS, PAGE  # noqa: E402
 from retalis.dashboard.view_model import MAX_OPEN_PAGES, DashboardSource, TopicRow  # noqa: E402
@@ -294,8 +295,24 @@ def test_topics_have_counts_of_source_or_engine(program: Any) -> None:
 
 
 def test_used_port_is_an_error(page: Any) -> None:
-    with pytest.raises(UsageError, match=f"port {page.port} of 127.0.0.1"):
+    with pytest.raises(UsageError, match=f"^the dashboard cannot bind port {page.port} of 127.0.0.1: "):
         Dashboard(DashboardSource(engine(), "x"), page.port)
+
+
+def test_error_of_start_releases_port(monkeypatch: pytest.MonkeyPatch) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        port = server.getsockname()[1]
+
+    def fail(*arguments: Any) -> None:
+        raise OSError("no such page")
+
+    with monkeypatch.context() as patches:
+        patches.setattr(request_handlers, "create_server", fail)
+        with pytest.raises(OSError, match="no such page"):
+            Dashboard(DashboardSource(engine(), "x"), port)
+    assert "dashboard" not in [thread.name for thread in threading.enumerate()]
+    with serving(port=port) as page:
+        assert page.port == port
 
 
 def test_next_ports_are_tried_on_request(page: Any) -> None:

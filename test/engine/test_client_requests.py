@@ -132,6 +132,27 @@ def test_wait_ends_with_error_after_timeout(engine_with_memories: Engine) -> Non
     assert waiting(engine_with_memories) == 0
 
 
+class LateEngine(Engine):
+    """An engine that receives an event at the second call of `do`."""
+
+    calls = 0
+
+    def do(self, *arguments: Any, **options: Any) -> Any:
+        self.calls += 1
+        if self.calls == 2:
+            self.event("v(1)", 6)
+        return super().do(*arguments, **options)
+
+
+def test_data_at_end_of_waiting_time_ends_wait() -> None:
+    engine = LateEngine()
+    engine.load(goals="memorize(v(_), [], _, m, 10)")
+    # The second call asks which data are missing.
+    wait_for_memories(engine, [atom("m")], 5_000_000_000, 0)
+    assert engine.calls > 1
+    assert waiting(engine) == 0
+
+
 def test_wait_for_unknown_memory_is_an_error(engine_with_memories: Engine) -> None:
     with pytest.raises(UsageError, match="there is no memory x"):
         wait_for_memories(engine_with_memories, [atom("x")], 0, 1)

@@ -6,16 +6,18 @@ from pathlib import Path
 from typing import Any, List, Optional
 
 import pytest
-from checked_access import compound, place_of, stream_clock
+from asserting_accessors import compound, place_of, stream_clock
 from recorded_calls import recording
 from recording_engine import RecordingEngine
 from recording_reports import RecordingReports
 
 from retalis import (
+    Definitions,
     Engine,
     Limits,
     ProgramErrors,
     PrologError,
+    Reports,
     RetalisError,
     Settings,
     StreamClock,
@@ -56,6 +58,16 @@ def test_query_returns_values_by_name() -> None:
     assert engine.query("p(1)") == [{}]
 
 
+def test_query_returns_no_solution_beyond_limit() -> None:
+    engine = Engine()
+    assert engine.query("X = 1, assertz(called)", most=0) == []
+    assert engine.query("catch(called, _, fail)") == []
+    # The second solution, which is not wanted, would raise an error.
+    assert engine.query("X = 1 ; throw(oops)", most=1) == [{"X": 1}]
+    with pytest.raises(UsageError, match="^most: -1 is no number of solutions: expected 0 or more$"):
+        engine.query("true", most=-1)
+
+
 def test_failed_goal_does_not_stop_later_goals() -> None:
     engine = RecordingEngine()
     with pytest.raises(ProgramErrors) as caught_errors:
@@ -88,6 +100,26 @@ def test_rule_file_with_errors_is_refused_completely(tmp_path: Path) -> None:
     assert [place_of(error).line for error in caught_errors.value.errors] == [2, 3]
     engine.event("a", 1)
     assert [event for event, _, _ in engine.events] == ["a"]
+
+
+def test_program_of_folder_with_error_is_incomplete(tmp_path: Path) -> None:
+    """Undefined predicates are not reported: a clause may be missing because of the error."""
+    for name, rules in (("a", "alarm <- fire.\nb <- a seq.\n"), ("b", "p :- undefined_here.\n")):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "goalPredicates.txt").write_text("compile_event_file('rules.txt')\n")
+        (tmp_path / name / "rules.txt").write_text(rules)
+    engine = Engine()
+
+    def is_reported() -> bool:
+        return any("undefined_here" in str(warning) for warning in engine.warnings(tmp_path, Definitions()))
+
+    with pytest.raises(ProgramErrors):
+        engine.load_program(tmp_path / "a")
+    engine.load_program(tmp_path / "b")
+    assert not is_reported()
+    (tmp_path / "a" / "rules.txt").write_text("alarm <- fire.\n")
+    engine.reload(f"{tmp_path}/b/../a")
+    assert is_reported()
 
 
 def test_error_of_goal_stops_its_rule_only(caplog: pytest.LogCaptureFixture) -> None:
@@ -257,6 +289,39 @@ def test_endless_goal_is_stopped() -> None:
     assert [event for event, _, _ in engine.events] == ["a", "ok"]
     with pytest.raises(RetalisError, match="inferences"):
         engine.query("loop")
+
+
+def test_changed_limit_stops_goal() -> None:
+    engine = Engine(settings=Settings(limits=Limits(inferences=1_000_000)))
+    engine.change_settings(engine.settings._replace(limits=Limits(inferences=1000)))
+    with pytest.raises(PrologError, match="inferences"):
+        engine.query("between(1, inf, X), X > 100000")
+
+
+class WarningReports(Reports):
+    """Reports that record whether there was a warning."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.is_warned = threading.Event()
+
+    def warning(self, problem: object, kind: object = None, texts: int = 1, once: bool = False) -> None:
+        self.is_warned.set()
+
+
+def test_changed_warning_time_starts_watchdog() -> None:
+    reports = WarningReports()
+    engine = Engine(reports=reports)
+    engine.change_settings(engine.settings._replace(watchdog=0.001))
+    assert engine.do(lambda: reports.is_warned.wait(60))
+
+
+def test_fixed_setting_cannot_be_changed() -> None:
+    engine = Engine()
+    with pytest.raises(UsageError, match="change_settings: queue is fixed: "):
+        engine.change_settings(engine.settings._replace(queue=7))
+    with pytest.raises(UsageError, match="change_settings: the engine was created without limits: "):
+        engine.change_settings(engine.settings._replace(limits=Limits(seconds=1)))
 
 
 def test_values_of_answer_share_variables() -> None:

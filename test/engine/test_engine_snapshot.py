@@ -2,7 +2,7 @@
 
 import random
 from pathlib import Path
-from typing import Any, List
+from typing import Any, Dict, List, Tuple
 
 import pytest
 
@@ -23,7 +23,7 @@ from .emissions import record_emissions, show
 
 ALARM = "exceptionAlarm(late(X), 5) <- start(X).\nwarned(X) <- late(X)."
 
-PROGRAMS = {
+PROGRAMS: Dict[str, Tuple[str, str, List[Any], List[Any]]] = {
     "sequence": ("pair(X, Y) <- a(X) seq b(Y).", "", ["a(1)", "a(2)"], ["b(1)", "b(2)", "b(3)"]),
     "shared values": (
         "pair(X) <- a(X) and b(X).",
@@ -32,14 +32,33 @@ PROGRAMS = {
         ["b(f(1, 1))", "b(1)", "a(2)"],
     ),
     "window": ("pair(X, Y) <- (a(X) seq b(Y)) within 3.", "", ["a(1)", "x", "a(2)"], ["b(1)", "b(2)"]),
+    "instants": (
+        "p(X) <- at_end(a(X) seq b(X)) seq at_start(c(X)).",
+        "",
+        ["a(1)", "a(2)", "b(1)"],
+        ["b(2)", "c(1)", "c(2)"],
+    ),
     "absence": ("p(X) <- (a(X) seq b(Y)) cnot c(_).", "", ["a(1)", "c(1)", "a(2)"], ["b(1)", "b(2)"]),
     "negation": ("p(X) <- a(X) fnot b(X).", "", ["b(1)"], ["a(1)", "a(2)"]),
+    "overlap": ("p(X) <- (a(X) seq b(_)) without c(X).", "", ["a(1)", "a(2)", "c(1)"], ["b(1)", "b(2)"]),
+    "overlap of any": (
+        "p(X) <- (a(X) and b(X)) without (c(Y) where Y > X).",
+        "",
+        ["a(1)", "a(2)", "a(3)", "c(2)"],
+        ["b(1)", "b(2)", "b(3)"],
+    ),
     "repetitions": ("p(X, Y) <- a(X) seq (b(Y) star_times).", "", ["a(1)", "b(1)"], ["b(2)", "a(2)", "b(3)"]),
     "repeated pattern": (
         "p <- a(_) ntimes 4.",
         "",
         ["a(1)", "a(2)", "a(3)"],
         ["a(4)", "a(5)", "a(6)", "a(7)", "a(8)"],
+    ),
+    "run group that has ended": (
+        "p <- d fnot (a(_) ntimes 4).",
+        "set_etalis_flag(revision_flag, on)",
+        ["a(1)", ("a(2)", 1)],
+        ["d", "a(3)", "a(4)", "a(5)", "d"],
     ),
     "aggregates": (
         "n(X, N) <- a(X) seq aggregate(avg(Y), b(X, Y), N).\nl(L) <- a(_) seq aggregate(list(Y), b(_, Y), L).",
@@ -304,22 +323,59 @@ def test_restored_rules_call_given_foreign_predicates() -> None:
     assert emissions_of(restored, ["a(3)"], 1)[-1][0] == "p(1.5)"
 
 
+FOREIGN_MODULE = "from retalis import foreign\n@foreign\ndef third(x: int) -> float:\n    return x / 3\n"
+
+
 def test_python_module_is_loaded_from_program_folder(tmp_path: Path) -> None:
-    (tmp_path / "mine.py").write_text(
-        "from retalis import foreign\n@foreign\ndef third(x: int) -> float:\n    return x / 3\n"
-    )
+    (tmp_path / "mine.py").write_text(FOREIGN_MODULE)
     (tmp_path / "goalPredicates.txt").write_text("use_foreign(mine)\n")
     allowed = Settings(allow_foreign=True)
     original = Engine(settings=allowed)
     original.load_program(tmp_path)
     data = original.snapshot()
     assert Engine.restore(data, settings=allowed, folder=tmp_path).query("third(6, X)") == [{"X": 2.0}]
-    with pytest.raises(UsageError, match="not in a folder of its own"):
+    with pytest.raises(UsageError, match="outside of the program's folder"):
         Engine.restore(data, settings=allowed)
-    with pytest.raises(UsageError, match="not in a folder of its own"):
+    with pytest.raises(UsageError, match="outside of the program's folder"):
         Engine.restore(data, settings=allowed, folder=tmp_path / "other")
     with pytest.raises(UsageError, match="allow_foreign is off"):
         Engine.restore(data, folder=tmp_path)
+
+
+@pytest.mark.parametrize(
+    "name", ["../evil.py", "linked/../../evil.py", "{folder}/../evil.py", "{folder}x/evil.py"]
+)
+def test_python_module_outside_of_folder_is_refused(tmp_path: Path, name: str) -> None:
+    folder = tmp_path / "program"
+    for path in (folder / "sub", tmp_path / "programx"):
+        path.mkdir(parents=True)
+    (folder / "linked").symlink_to(folder / "sub")
+    for path in (tmp_path, tmp_path / "programx"):
+        (path / "evil.py").write_text(FOREIGN_MODULE)
+    allowed = Settings(allow_foreign=True)
+    original = Engine(settings=allowed)
+    # As a state that another program has written.
+    original.logic.foreign_modules[name.format(folder=folder)] = None
+    with pytest.raises(UsageError, match=r"evil\.py, which is outside of the program's folder"):
+        Engine.restore(original.snapshot(), settings=allowed, folder=folder)
+
+
+@pytest.mark.parametrize("is_link", [False, True])
+def test_program_of_relative_folder_is_restored(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, is_link: bool
+) -> None:
+    source = tmp_path / "mine.py" if is_link else tmp_path / "program" / "mine.py"
+    (tmp_path / "program").mkdir()
+    source.write_text(FOREIGN_MODULE)
+    if is_link:
+        (tmp_path / "program" / "mine.py").symlink_to(source)
+    (tmp_path / "program" / "goalPredicates.txt").write_text("use_foreign(mine)\n")
+    monkeypatch.chdir(tmp_path)
+    allowed = Settings(allow_foreign=True)
+    original = Engine(settings=allowed)
+    original.load_program("program")
+    restored = Engine.restore(original.snapshot(), settings=allowed, folder=Path("program"))
+    assert restored.query("third(6, X)") == [{"X": 2.0}]
 
 
 def test_snapshot_in_callback_is_refused() -> None:

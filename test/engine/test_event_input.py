@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any, Callable, List, Tuple
 
 import pytest
-from checked_access import stream_clock
+from asserting_accessors import stream_clock
 from recording_engine import RecordingEngine
 
 from retalis import (
@@ -203,7 +203,7 @@ def test_event_text_beyond_limit_is_refused(
     with caplog.at_level(logging.WARNING, "retalis"):
         engine.post_text("event(a(1234567890))")
         engine.post_text("event(a(12345678901))")
-    assert engine.events == [("a(1234567890)", engine.events[0][1], engine.events[0][2])]
+    assert engine.events == [("a(1234567890)", 7, 7)]
     (record,) = caplog.records
     assert "21 characters, at most 20 are allowed" in record.getMessage()
 
@@ -218,11 +218,39 @@ def test_times_may_be_terms_or_numbers() -> None:
 
 def test_end_before_start_is_refused() -> None:
     engine = RecordingEngine()
-    with pytest.raises(RetalisError):
+    with pytest.raises(UsageError, match="^a ends before it starts$"):
         engine.event("a", 2, 1)
-    with pytest.raises(UsageError):
+    with pytest.raises(UsageError, match="^expected datime"):
         engine.event("a", "soon")  # type: ignore[arg-type]
     assert engine.events == []
+
+
+@pytest.mark.parametrize("clock", [StreamClock(7), None])
+def test_end_without_start_is_refused(clock: Any) -> None:
+    engine = RecordingEngine(clock=clock)
+    with pytest.raises(
+        UsageError, match="^event 'a': it has an end and no start: give both times, or neither$"
+    ):
+        engine.event("a", end=5)
+    with pytest.raises(UsageError, match="no start"):
+        engine.event_at(atom("a"), None, 5)
+    assert engine.events == []
+
+
+def test_end_is_start_by_default() -> None:
+    engine = RecordingEngine(clock=StreamClock(9 * SECOND))
+    engine.event("a", 5)
+    engine.event_at(atom("b"), 5 * SECOND, None)
+    assert engine.events == [("a", 5 * SECOND, 5 * SECOND), ("b", 5 * SECOND, 5 * SECOND)]
+
+
+def test_refused_event_has_no_lag() -> None:
+    engine = RecordingEngine("lost <- a seq absent(b, 2).", clock=StreamClock(100 * SECOND))
+    with pytest.raises(UsageError, match="ends before it starts"):
+        engine.event("b", 99.9, 99.5)
+    assert engine.status().lags == ()
+    engine.event("b", 99.4, 99.5)
+    assert [(lag.event, lag.lag) for lag in engine.status().lags] == [("b/0", SECOND // 2)]
 
 
 def test_event_with_syntax_error_is_refused() -> None:

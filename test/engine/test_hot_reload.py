@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any, List, Optional, Tuple
 
 import pytest
+from checked_threads import CheckedThread, wait_until
 
 from retalis import (
     Engine,
@@ -90,12 +91,12 @@ class Program:
                 if not predicate.is_library_predicate
             },
             {
-                key: list(predicate.memory.records)
-                for key, predicate in engine.knowledge.memories.instances.items()
+                key: list(instance.memory.records)
+                for key, instance in engine.knowledge.memories.instances.items()
             },
             [
-                (key, predicate.sent_counter.count)
-                for key, predicate in engine.knowledge.subscriptions.items()
+                (key, subscription.sent_counter.count)
+                for key, subscription in engine.knowledge.subscriptions.items()
             ],
             engine.rules.all_properties(),
         )
@@ -143,7 +144,8 @@ def test_unchanged_rule_keeps_partial_matches(program: Program) -> None:
     assert changes[0] == "rules: 1 new, 1 gone, 1 kept, with 1 partial match"
     assert changes[1].startswith("  new: rule alarm(X) (")
     assert changes[1].endswith("rules.txt:6)")
-    assert changes[2] == "  gone: rule alarm(X)"
+    assert changes[2].startswith("  gone: rule alarm(X) (")
+    assert changes[2].endswith("rules.txt:6)")
     assert program.events("fire(cellar)", "heat(2)") == [
         "fire(cellar)",
         "alarm(cellar)",
@@ -155,10 +157,8 @@ def test_unchanged_rule_keeps_partial_matches(program: Program) -> None:
 def test_removed_rule_loses_partial_matches(program: Program) -> None:
     program.events("smoke(1)", "smoke(2)")
     changes = program.reload(rules=RULES.replace("both(X,Y)", "pair(X,Y)"))
-    assert (
-        "  gone: rule both(X,Y), with 1 partial match" in changes
-        or "  gone: rule both(X,Y), with 2 partial matches" in changes
-    )
+    assert changes[2].startswith("  gone: rule both(X,Y) (")
+    assert changes[2].endswith("rules.txt:7), with 2 partial matches")
     assert program.events("heat(2)") == ["heat(2)"]
     assert program.events("smoke(3)", "heat(4)") == ["smoke(3)", "heat(4)", "pair(3,4)"]
 
@@ -175,7 +175,8 @@ def test_equal_rules_are_paired_individually(program: Program) -> None:
     changes = program.reload(rules="b <- a.\nb <- a.\n")
     assert program.events("a") == ["a", "b", "b"]
     changes = program.reload(rules="b <- a.\n")
-    assert changes[:2] == ["rules: 0 new, 1 gone, 1 kept", "  gone: rule b"]
+    assert changes[0] == "rules: 0 new, 1 gone, 1 kept"
+    assert changes[1].endswith("rules.txt:2)")
     assert program.events("a") == ["a", "b"]
 
 
@@ -250,11 +251,7 @@ def test_new_and_removed_memories_are_reported(program: Program) -> None:
     events: List[Any] = []
     program.engine.on_event(lambda term, start, end: events.append(program.engine.show(term).split("(")[0]))
     changes = program.reload(goals=GOALS.replace("fires, 5", "blazes, 5"))
-    assert changes[3:6] == [
-        "memories: 1 new, 1 gone, 0 kept, with 0 records",
-        "  new: memory blazes",
-        "  gone: memory fires",
-    ] or changes[1:4] == [
+    assert changes[1:4] == [
         "memories: 1 new, 1 gone, 0 kept, with 0 records",
         "  new: memory blazes",
         "  gone: memory fires",
@@ -416,7 +413,7 @@ def test_missing_file_leaves_previous_program_running(program: Program) -> None:
     assert program.events("fire(hall)") == ["fire(hall)", "alarm(hall)"]
 
 
-HERE_ONLY = "\\+ here\n"
+HERE_ONLY = "catch(here, _, fail) -> fail ; true\n"
 """A goal that fails if `here` has been asserted at run time, which the trial does not know."""
 
 
@@ -442,7 +439,6 @@ HERE_ONLY = "\\+ here\n"
 def test_failure_in_running_engine_is_rolled_back(program: Program, goals: str, rules: Optional[str]) -> None:
     engine = program.engine
     engine.call("dynamic(here/0)")
-    goals = goals.replace(HERE_ONLY, "catch(here, _, fail) -> fail ; true\n")
     add_rule(engine, "mine <- fire(_)", "mine")
     engine.call("assertz(here), retract(count(0)), assertz(count(7))")
     program.events("fire(hall)", "smoke(1)")
@@ -534,17 +530,24 @@ def test_trial_writes_no_output_and_no_log(
 
 
 def test_events_during_reload_are_processed(program: Program) -> None:
-    numbers = range(300)
+    reloads_ended = threading.Event()
+    numbers: List[int] = []
 
-    def post_each() -> None:
-        for number in numbers:
-            program.engine.post(FIRE(number), number * 10**9 + 1)
+    def post_until_end() -> None:
+        while not reloads_ended.is_set() or len(numbers) < 10:
+            numbers.append(len(numbers))
+            program.engine.post(FIRE(numbers[-1]), numbers[-1] * 10**9 + 1)
 
-    sender = threading.Thread(target=post_each)
+    sender = CheckedThread(post_until_end)
     sender.start()
-    for number in range(10):
-        program.reload(rules=RULES + f"n({number}) <- never.\n")
-    sender.join()
+    try:
+        for number in range(5):
+            count_before = len(numbers)
+            program.reload(rules=RULES + f"n({number}) <- never.\n")
+            wait_until(lambda: len(numbers) > count_before, "an event is posted")  # noqa: B023
+    finally:
+        reloads_ended.set()
+        sender.end()
     program.engine.call("true")
     assert [text for text in program.seen if text.startswith("fire")] == [f"fire({n})" for n in numbers]
     assert program.records() == [f"fire({n})" for n in reversed(numbers)][:5]
@@ -587,7 +590,7 @@ class TestTimers:
             timed.reload(goals=GOALS + "timer(a, evry(4))\n")
         assert self.timers(timed) == before
         timed.engine.call("assertz(here)")
-        with pytest.raises(RetalisError):  # in the running engine only
+        with pytest.raises(RetalisError, match="bad"):  # in the running engine only
             timed.reload(goals=GOALS + "timer(d, every(1))\n(catch(here, _, fail) -> throw(bad) ; true)\n")
         assert self.timers(timed) == before
         timed.now = 11
@@ -639,7 +642,7 @@ class TestStates:
 
     def test_failed_reload_keeps_states(self, docked: Any) -> None:
         docked.engine.call("assertz(here)")
-        with pytest.raises(RetalisError):  # in the running engine only
+        with pytest.raises(RetalisError, match="bad"):  # in the running engine only
             docked.reload(goals=GOALS + "(catch(here, _, fail) -> throw(bad) ; true)\n")
         assert docked.events("undock(a)") == ["undock(a)", "docked(a)"]
 

@@ -112,7 +112,7 @@ def test_load_is_interrupted_and_undone() -> None:
     rules = "new <- a.\n:- stop.\n:- repeat, fail.\n"
     with pytest.raises(Interrupt):
         engine.load(rules=rules)
-    assert [rule.name for rule in engine.rules.rules] == ["rule old"]
+    assert [rule.name for rule in engine.rules.rules] == ["old"]
     with pytest.raises(PrologError):
         engine.call("new")
     engine.load(rules="new <- a.")

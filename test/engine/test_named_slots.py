@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any, List
 
 import pytest
-from checked_access import place_of
+from asserting_accessors import place_of
 from message_registries import empty_registry
 from recording_reports import RecordingReports
 

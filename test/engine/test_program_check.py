@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import Any, List
 
 import pytest
-from checked_access import compound, place_of
+from asserting_accessors import compound, place_of
 
 from retalis import Definitions, Engine, Operators, RetalisError
 from retalis.engine.program_check import check_program, explain_missing_events, explain_output_mismatch
@@ -106,3 +106,14 @@ def test_predicates_of_refused_rules_are_not_reported(tmp_path: Path, definition
 def test_predicates_of_valid_rules_are_reported(tmp_path: Path, definitions: Definitions) -> None:
     messages = finding_messages(tmp_path, definitions, rules="low(V) <- heat(V) where helper(V).")
     assert "there is no predicate helper/1 yet; define it, or write :- dynamic helper/1." in messages
+
+
+def test_predicates_of_later_files_are_not_reported(tmp_path: Path, definitions: Definitions) -> None:
+    (tmp_path / "names.txt").write_text("known(ann).\n")
+    messages = finding_messages(
+        tmp_path,
+        definitions,
+        rules="low(V) <- heat(V) where known(V).",
+        goals="compile_event_file('names.txt')\nsubscribe(low(V), [], V, warn, w1)",
+    )
+    assert not any("known/1" in message for message in messages)

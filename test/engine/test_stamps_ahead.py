@@ -5,8 +5,9 @@ from random import Random
 from typing import Any, Dict, List
 
 import pytest
-from checked_access import stream_clock
+from asserting_accessors import stream_clock
 from recording_reports import RecordingReports
+from search_rounds import search_rounds
 
 from retalis import Engine, StreamClock
 from retalis.prolog.terms.timestamps import SECOND, from_seconds
@@ -19,6 +20,7 @@ last_10(N) <- aggregate(count, tick, N, last(10)).
 hopping(N) <- aggregate(count, tick, N, every(5)).
 from_first(N) <- aggregate(count, tick, N, every(5, first)).
 running(N) <- aggregate(count, tick, N, running(every(5))).
+session(N) <- aggregate(count, tick, N, session(2, max(5))).
 pair <- (left seq right) within 3.
 silent <- left seq absent(never, 0.5).
 """
@@ -52,7 +54,7 @@ def test_single_stamp_far_ahead_does_not_move_time() -> None:
     run = FarStamps()
     counts = run.run(range(100), {25: YEAR})
     assert (counts["last_10"], counts["running"]) == (99, 99)
-    for name in ("pair", "silent", "hopping", "from_first", "beat"):
+    for name in ("pair", "silent", "hopping", "from_first", "session", "beat"):
         assert counts[name] == expected[name], name
     (warning,) = run.reports.messages
     assert warning.startswith(
@@ -302,7 +304,7 @@ changed(N) <- aggregate(count, tick, N, every(3)) with throttle(2).
 
 
 @pytest.mark.parametrize("has_receipt_clock", [False, True])
-@pytest.mark.parametrize("seed", range(20))
+@pytest.mark.parametrize("seed", search_rounds(3, 20))
 def test_restored_engine_has_same_outputs(seed: int, has_receipt_clock: bool) -> None:
     random = Random(seed)
     clock, restored_clock = (StreamClock(1), StreamClock(1)) if has_receipt_clock else (None, None)

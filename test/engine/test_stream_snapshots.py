@@ -6,11 +6,17 @@ from typing import Any, List
 import pytest
 
 from retalis import Engine
+from retalis.events.streams.aggregates import AGGREGATES as AGGREGATES_BY_NAME
 
 from .emissions import record_emissions
 
 AGGREGATES = "[count, sum(X), avg(X), median(X), min(X), max(X), stddev(X), list(X), distinct(X)]"
-MORE_AGGREGATES = "[count_distinct(X), quantile(0.9, X), first(X), last(X), rate]"
+MORE_AGGREGATES = "[count_distinct(X), quantile(0.9, X), first(X), last(X), changes(X), rate]"
+NOTATIONS = [
+    function.notation.replace("P, ", "0.9, ").replace("Init, Step, Result", "none, longer, same")
+    for function in AGGREGATES_BY_NAME.values()
+]
+FOLDED = "none(0).\nlonger(X, S0, S) :- S is max(X, S0).\nsame(S, S)."
 WINDOWS = (
     "last(3)",
     "last(4, events)",
@@ -18,6 +24,8 @@ WINDOWS = (
     "every(2, first)",
     "every(3, events)",
     "last(3, every(1))",
+    "session(1.5)",
+    "session(1.5, max(4))",
     "running(every(2))",
     "running(every(2, first))",
     "running(every(3, events))",
@@ -31,11 +39,19 @@ PATTERNS = {
         f"more aggregates in {window}": f"w(R) <- aggregate({MORE_AGGREGATES}, in(_, X), R, {window})."
         for window in WINDOWS
     },
+    **{
+        f"repetitions with {notation}": f"w(K, R) <- end(K) seq aggregate({notation}, in(_, X), R).\n{FOLDED}"
+        for notation in NOTATIONS
+    },
     "throttle": "w(K, X) <- in(K, X) with throttle(2, K).",
     "burst": "w(K, X) <- in(K, X) with burst(1.5, K).",
     "debounce": "w(K, X) <- in(K, X) with debounce(1, K).",
     "change": "w(K, X) <- in(K, X) with change(X, K).",
+    "change after first": "w(K, X) <- in(K, X) with change_after_first(X, K).",
     "absent": "w(K, X) <- in(K, X) seq absent(no(K), 2).",
+    "absent of own time": "w(K, X) <- in(K, X) seq absent(no(K), X).",
+    "not preceded": "w(K, X) <- in(K, X) with not_preceded(no(K), 2).",
+    "not preceded by any": "w(K, X) <- in(K, X) with not_preceded((no(_) where X > 2), 2).",
     "absent of any": "w(K, X) <- in(K, X) seq absent(no(_) where X > 2, 2).",
     "a sequence with all of them": (
         "w(K, N) <- aggregate(count, (in(K, X) seq absent(no(K), 1)) with change(X), N, last(5)) seq end(K)."

@@ -80,7 +80,27 @@ PAIRS = {
     "forall_seq": Pair(lambda p, q: p.end < q.start, first_to_second, False),
 }
 EITHER_ORDER = tuple(name for name, operator in PAIRS.items() if operator.either)
-AGGREGATES = ("count", "sum", "min", "max", "avg", "list")
+INSTANTS = ("at_end", "at_start")
+AGGREGATES = (
+    "count",
+    "sum",
+    "min",
+    "max",
+    "avg",
+    "stddev",
+    "median",
+    "quantile",
+    "first",
+    "last",
+    "list",
+    "distinct",
+    "count_distinct",
+    "changes",
+    "rate",
+    "fold",
+)
+VALUELESS_AGGREGATES = ("count", "rate")
+AGGREGATES_WITH_SETTINGS = ("quantile", "fold")
 
 
 def pair(
@@ -146,6 +166,14 @@ ROWS = {
         (("b(1)", 3, 5), ("a(1)", 1, 2)),
         False,
     ),
+    "without": Row(
+        "(a(X) seq b(X)) without c(X)",
+        (("a(1)", 1, 2), ("c(2)", 2.5, 2.6), ("c(1)", 0.5, 1), ("b(1)", 3, 5)),
+        ((1, 5),),
+        (("a(1)", 1, 2), ("c(1)", 0.5, 1.1), ("b(1)", 3, 5)),
+        (("b(1)", 3, 5), ("a(1)", 1, 2)),
+        False,
+    ),
     "cnot one": Row(
         "a(X) cnot c(X)",
         (("a(1)", 1, 3), ("c(1)", 4, 5)),
@@ -207,6 +235,75 @@ ROWS = {
         (("a(1)", 1, 2), ("b(1,4)", 3, 4)),
         ((1, 4),),
         (("a(1)", 1, 2), ("c(1,4)", 3, 4)),
+    ),
+    "stddev": Row(
+        "a(X) seq aggregate(stddev(V), b(X, V), _)",
+        (("a(1)", 1, 2), ("b(1,4)", 3, 4), ("b(1,3)", 5, 6)),
+        ((1, 6),),
+        (("a(1)", 1, 2), ("b(1,4)", 3, 4)),
+    ),
+    "median": Row(
+        "a(X) seq aggregate(median(V), b(X, V), _)",
+        (("a(1)", 1, 2), ("b(1,4)", 3, 4)),
+        ((1, 4),),
+        (("a(1)", 1, 2), ("b(2,4)", 3, 4)),
+    ),
+    "quantile": Row(
+        "a(X) seq aggregate(quantile(0.9, V), b(X, V), _)",
+        (("a(1)", 1, 2), ("b(1,4)", 3, 4)),
+        ((1, 4),),
+        (("a(1)", 1, 2), ("b(2,4)", 3, 4)),
+    ),
+    "first": Row(
+        "a(X) seq aggregate(first(V), b(X, V), _)",
+        (("a(1)", 1, 2), ("b(1,4)", 3, 4)),
+        ((1, 4),),
+        (("a(1)", 1, 2), ("b(1,4)", 2, 4)),
+    ),
+    "last": Row(
+        "a(X) seq aggregate(last(V), b(X, V), _)",
+        (("a(1)", 1, 2), ("b(1,4)", 3, 4)),
+        ((1, 4),),
+        (("a(1)", 1, 2), ("b(1,4)", 2, 4)),
+    ),
+    "distinct": Row(
+        "a(X) seq aggregate(distinct(V), b(X, V), _)",
+        (("a(1)", 1, 2), ("b(1,4)", 3, 4)),
+        ((1, 2), (1, 4)),
+        (("b(1,4)", 3, 4),),
+    ),
+    "count_distinct": Row(
+        "a(X) seq aggregate(count_distinct(V), b(X, V), _)",
+        (("a(1)", 1, 2), ("b(1,4)", 3, 4)),
+        ((1, 2), (1, 4)),
+        (("b(1,4)", 3, 4),),
+    ),
+    "changes": Row(
+        "a(X) seq aggregate(changes(V), b(X, V), _)",
+        (("a(1)", 1, 2), ("b(1,4)", 3, 4)),
+        ((1, 2), (1, 4)),
+        (("b(1,4)", 3, 4),),
+    ),
+    "rate": Row(
+        "a(X) seq aggregate(rate, b(X, V), _)",
+        (("a(1)", 1, 2), ("b(1,4)", 3, 4)),
+        ((1, 4),),
+        (("a(1)", 1, 2), ("b(2,4)", 3, 4)),
+    ),
+    "at_end": Row(
+        "at_end(a(X)) seq b(X)",
+        (("a(1)", 1, 2), ("b(1)", 3, 5)),
+        ((2, 5),),
+        (("a(1)", 1, 3), ("b(1)", 3, 5)),
+        (("b(1)", 3, 5), ("a(1)", 1, 2)),
+        False,
+    ),
+    "at_start": Row(
+        "at_start(a(X)) meets b(X)",
+        (("a(1)", 3, 4), ("b(1)", 3, 6)),
+        ((3, 6),),
+        (("a(1)", 2, 3), ("b(1)", 3, 6)),
+        (("b(1)", 3, 6), ("a(1)", 3, 4)),
     ),
     "subpattern": Row(
         "(s(X) <- a(X) seq b(X)) seq c(X)",

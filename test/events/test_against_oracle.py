@@ -48,7 +48,7 @@ def garbage_control(window: int) -> str:
 
 
 @pytest.mark.slow
-@settings(quick, max_examples=100)
+@settings(quick, max_examples=50)
 @given(cases())
 def test_random_rules_equal_oracle(case: Any) -> None:
     case = limit_stream(case)
@@ -57,21 +57,35 @@ def test_random_rules_equal_oracle(case: Any) -> None:
 
 
 @pytest.mark.slow
-@settings(quick, max_examples=30)
+@settings(quick, max_examples=15)
 @given(cases(unsure=True))
 def test_conditions_on_open_variables_equal_oracle(case: Any) -> None:
     assert difference(limit_stream(case)) is None
 
 
 @pytest.mark.slow
-@settings(quick, max_examples=30)
+@settings(quick, max_examples=15)
+@given(cases(instants=True))
+def test_instants_of_matches_equal_oracle(case: Any) -> None:
+    assert difference(limit_stream(case)) is None
+
+
+@pytest.mark.slow
+@settings(quick, max_examples=15)
+@given(cases(overlaps=True))
+def test_without_equals_oracle(case: Any) -> None:
+    assert difference(limit_stream(case)) is None
+
+
+@pytest.mark.slow
+@settings(quick, max_examples=15)
 @given(cases(streams=True))
 def test_stream_operators_equal_oracle(case: Any) -> None:
     assert difference(limit_stream(case)) is None
 
 
 @pytest.mark.slow
-@settings(quick, max_examples=30)
+@settings(quick, max_examples=15)
 @given(cases())
 def test_partner_lookup_by_time_equals_oracle(case: Any) -> None:
     limits: Dict[str, Any] = {
@@ -121,7 +135,7 @@ def test_garbage_control_removes_old_matches(pattern: str) -> None:
 
 
 @pytest.mark.slow
-@settings(quick, max_examples=30)
+@settings(quick, max_examples=15)
 @given(cases(depth=3, revision=True))
 def test_revision_equals_oracle(case: Any) -> None:
     if difference(case) is not None:

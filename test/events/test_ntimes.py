@@ -5,6 +5,7 @@ from typing import Any, Dict, List, Optional, Tuple
 
 import pytest
 from events.program_runner import ProgramRunner, format_events, outputs_of, term_text
+from search_rounds import search_rounds
 
 from retalis import Engine
 from retalis.events.network.repeat_node import RepeatNode
@@ -165,9 +166,7 @@ def outputs_and_match_count(rule: Any, policy: Any, flags: Any, stream: Any, cha
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "group", [0, 1, *(pytest.param(group, marks=pytest.mark.nightly) for group in range(2, 10))]
-)
+@pytest.mark.parametrize("group", search_rounds(2, 10))
 def test_random_ntimes_equal_written_sequences(group: Any) -> None:
     for number in range(25):
         generator = random.Random(f"{group} {number}")

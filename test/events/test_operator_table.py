@@ -63,13 +63,13 @@ class ProgramRun:
         return [(start, end) for text, start, end in self.derived if text == "out(1)"]
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def run() -> Any:
-    """Return a function that runs a program; all runs of a test share the engine."""
+    """Return a function that runs a program; all runs share the engine, whose creation takes longer than most."""
     return partial(ProgramRun, DerivingEngine())
 
 
-NIGHTLY_POLICIES = ("recent_2", "chronological_2")
+NIGHTLY_POLICIES = ("recent_2", "chronological", "chronological_2")
 """Policies that differ from others only for competing partners, which these streams do not have."""
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, List, NamedTuple, Tuple
 
 import pytest
-from checked_access import number
+from asserting_accessors import number
 from events.contradicted_recordings import CONTRADICTED, Contradiction
 from events.program_runner import term_text
 from parsing import parse_term
@@ -28,13 +28,15 @@ NOW = from_term(read_term("datime(2001,1,1,1,0,0)", Operators.prolog()).term)
 
 
 class ScenarioRun:
-    """A scenario executed by the engine."""
+    """A scenario executed by the engine; with ``counts_uses``, as for the coverage by tests."""
 
-    def __init__(self, data: Any, folder: Any) -> None:
+    def __init__(self, data: Any, folder: Any, counts_uses: bool = False) -> None:
         now = NOW if "Absolute" in str(data["rules"]) else BASE
         self.clock = StreamClock(now)
         self.reports = RecordingReports()
-        self.engine = Engine(self.clock, Settings(write_folders=(str(folder),)), self.reports)
+        self.engine = Engine(
+            self.clock, Settings(write_folders=(str(folder),), counts_uses=counts_uses), self.reports
+        )
         self.events: List[Any] = []
         self.memory_events: List[Any] = []
         self.outputs: List[Any] = []
@@ -131,6 +133,23 @@ def test_scenario_has_recorded_results(path: Path, tmp_path: Path, monkeypatch: 
     assert [term for term, _, _ in run.memory_events] == [term for term, _, _ in expected.memory_events]
     assert [("an error" if answer.__class__ is str else answer) for answer in run.answers] == expected.answers
     assert (run.has_failed or bool(run.reports.recorded_errors)) == expected.errors
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("path", SCENARIOS, ids=lambda path: path.stem)
+def test_counting_changes_no_result(path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    data = json.loads(path.read_text())
+    results = []
+    for counts_uses in (False, True):
+        folder = tmp_path / str(counts_uses)
+        folder.mkdir()
+        for name, text in (data.get("files") or {}).items():
+            (folder / name).write_text(text)
+        monkeypatch.chdir(folder)
+        run = ScenarioRun(data, folder, counts_uses)
+        answers = [str(answer).replace(str(folder), "") for answer in run.answers]
+        results.append((run.events, run.outputs, run.memory_events, answers, run.has_failed))
+    assert results[0] == results[1]
 
 
 class ExpectedResults(NamedTuple):

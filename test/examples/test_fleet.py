@@ -15,8 +15,8 @@ from types import ModuleType
 from typing import Any, List
 
 import pytest
-from python_path import python_path
 from script_modules import load_script
+from subprocess_python_path import python_path
 
 ROOT = Path(__file__).resolve().parents[2]
 FOLDER = ROOT / "examples" / "fleet"

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, Dict, List, Set, Tuple
 
 import pytest
-from checked_access import required
+from asserting_accessors import required
 from message_registries import empty_registry
 
 from retalis import Term

@@ -11,13 +11,23 @@ STREAM = (("in(1)", 1), ("in(2)", 2), ("no", 3), ("tick", 4))
 NOT_FIRED = {
     "w(N) <- aggregate(count, in(_), N, last(5)).": "other results: 1 at 1; 2 [1,2]",
     "w(X) <- aggregate(count, never, X, every(5)).": "aggregate over every(5.0): nothing was measured",
+    "w(N) <- aggregate(count, in(_), N, session(5)).": "aggregate over session(5.0): no window has ended",
+    "w(N) <- aggregate(count, in(_), N, session(1.5)).": "aggregate over session(1.5): other results: 2 [1,2]",
     "w(X) <- never(X) with throttle(5).": "? with throttle(5.0): not tested",
     "w(X) <- (in(_) with debounce(5)) seq in(X).": "debounce(5.0): the 5 seconds after the last one are not over",
     "w(9) <- (in(X) with change(X)) where X > 2.": "where X > 2: false for X = 1 at 1; X = 2 at 2",
     "w(9) <- (in(2) with throttle(1)) where false.": "where false: false at 2",
-    "w(9) <- in(2) seq absent(no, 5).": "absent 5: the time after it is not over",
+    "w(9) <- tick with not_preceded(no, 2).": "with not_preceded 2: ruled out by what must not happen",
+    "w(9) <- in(2) seq absent(no, 5).": "absent 5: the time after it is not over ('until' of a "
+    "test case sets a later end)",
     "w(9) <- in(2) seq absent(no, 1.5).": "absent 1.5: ruled out by what must not happen",
+    "w(9) <- (in(2) where N = 1.5) seq absent(no, N).": "absent N: ruled out by what must not happen",
+    "w(9) <- (in(2) where N = x) seq absent(no, N).": "absent N: its time is not a positive number of seconds",
     "w(9) <- never seq absent(no, 1.5).": "? absent 1.5: not tested",
+    "w(9) <- (in(1) seq tick) without no.": "without: ruled out by what must not happen",
+    "w(9) <- never without no.": "? without: not tested",
+    "w(9) <- at_end(never).": "? at_end: not tested",
+    "w(9) <- at_start(in(_) seq in(_)) where false.": "where false: false at 1",
     "w(9) <- in(_) with throttle(5) do fail.": "throttle dropped it because of earlier events",
 }
 
@@ -80,6 +90,11 @@ def test_incomplete_step_shows_event_count() -> None:
         ("count", "N = 0 at 1; N = 1 [1,2]; N = 2 [1,3]"),
         ("sum(V)", "N = 0 at 1; N = 2 [1,2]; N = 5 [1,3]"),
         ("max(V)", "N = 2 [1,2]; N = 3 [1,3]"),
+        ("median(V)", "N = 2 [1,2]; N = 2.5 [1,3]"),
+        ("quantile(0, V)", "N = 2 [1,2]; N = 2 [1,3]"),
+        ("changes(V)", "N = 0 at 1; N = 0 [1,2]; N = 1 [1,3]"),
+        ("rate", "N = 1.0 [1,2]; N = 1.0 [1,3]"),
+        ("stddev(V)", "N = 0.7071067811865476 [1,3]"),
     ],
 )
 def test_rejected_results_of_aggregate_are_shown(aggregate: str, values: str) -> None:

@@ -60,7 +60,7 @@ TIMEOUT_SECONDS = 60.0
 def program(folder: Any) -> Any:
     """Write the program of the example with the camera as an additional input."""
     source = ROOT / "application_source"
-    for path in source.iterdir():
+    for path in filter(Path.is_file, source.iterdir()):
         text = path.read_text()
         if path.name == "pub_sub.xml":
             text = text.replace("</publish_subscribe>", f"{IMAGE_SUBSCRIPTION}</publish_subscribe>")

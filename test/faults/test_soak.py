@@ -10,6 +10,7 @@ import pytest
 SOAK = Path(__file__).with_name("soak.py")
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_short_run_loses_no_uncounted_message(devel: Any, tmp_path: Path) -> None:
     command = [sys.executable, str(SOAK), "--minutes", "0.5", "--speed", "2", "--restarts", "12"]

@@ -1,13 +1,17 @@
 """Checks of limits within long steps: work and allocations are reported to the check."""
 
+import sys
+from threading import Barrier
 from typing import Any, Iterator, List
 
 import pytest
+from checked_threads import CheckedThread
 
 from retalis.foundation.cancellation import (
     STEPS_PER_ROUND,
     check_limits,
     in_checked_slices,
+    register_budget,
     set_limit_check,
     with_limit_checks,
 )
@@ -40,3 +44,39 @@ def test_few_items_are_not_checked(checks: Any) -> None:
     assert list(with_limit_checks([1, 2, 3])) == [1, 2, 3]
     assert list(with_limit_checks([])) == []
     assert checks == []
+
+
+class RunningTestBudget:
+    """A budget whose goal runs in every thread."""
+
+    runs_here = True
+
+    def __init__(self) -> None:
+        self.work = 0
+
+    def check_limits(self, work: int, size: int = 0) -> None:
+        self.work += work
+
+
+def test_budgets_of_all_threads_are_checked() -> None:
+    budgets = [[RunningTestBudget() for _ in range(500)] for _ in range(4)]
+    barrier = Barrier(len(budgets))
+
+    def register(number: int) -> None:
+        barrier.wait(10)
+        for budget in budgets[number]:
+            register_budget(budget)
+
+    interval = sys.getswitchinterval()
+    # Threads take turns so often that they meet within a registration.
+    sys.setswitchinterval(1e-6)
+    try:
+        threads = [CheckedThread(register, number) for number in range(len(budgets))]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.end()
+    finally:
+        sys.setswitchinterval(interval)
+    check_limits(1)
+    assert {budget.work for group in budgets for budget in group} == {1}

@@ -4,12 +4,13 @@ import json
 from xml.etree import ElementTree
 
 import pytest
-from checked_access import required
+from asserting_accessors import required
 
 from retalis import Operators, Place
 from retalis.foundation.errors import (
     MAX_SHOWN_CHARACTERS,
     format_count,
+    format_duration,
     place_at_column,
     place_at_offset,
     printable,
@@ -97,3 +98,21 @@ def test_joiner_without_neighbor_is_shown_as_escape(joiner: str) -> None:
 def test_texts_in_json_are_printable() -> None:
     data = {"a\x1b": ["b\u202e", 1, None, ("c\x9b", {"d": 0.5})]}
     assert json.loads(printable_json(data)) == {r"a\x1b": [r"b\u202e", 1, None, [r"c\x9b", {"d": 0.5}]]}
+
+
+@pytest.mark.parametrize(
+    ("seconds", "text"),
+    [
+        (5000, "1 h 23 min 20 s"),
+        (60, "1 min"),
+        (0, "0 s"),
+        (2.5, "2.5 s"),
+        (0.5, "500 ms"),
+        (1e-6, "0.001 ms"),
+        (90061.25, "1 d 1 h 1 min 1.25 s"),
+        (59.9999999999, "1 min"),
+        (-61, "-1 min 1 s"),
+    ],
+)
+def test_duration_has_units(seconds: float, text: str) -> None:
+    assert format_duration(seconds) == text

@@ -6,7 +6,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from python_path import python_path
+from subprocess_python_path import python_path
 
 
 @pytest.mark.slow

@@ -10,8 +10,8 @@ from xmlrpc.client import ServerProxy
 from xmlrpc.server import SimpleXMLRPCServer
 
 import pytest
-from checked_access import required
-from python_path import python_path
+from asserting_accessors import required
+from subprocess_python_path import python_path
 
 from retalis import Engine, UsageError
 from retalis.foundation.interrupts import (

@@ -1,7 +1,7 @@
 """Names of ROS: topics and message types."""
 
 import pytest
-from checked_access import required
+from asserting_accessors import required
 
 from retalis.foundation.ros_name_checks import name_fault, ros1_type_name, topic_fault, type_fault
 

@@ -12,8 +12,8 @@ import time
 from pathlib import Path
 from typing import Any, Dict, List
 
-from checked_access import required
-from python_path import python_path
+from asserting_accessors import required
+from subprocess_python_path import python_path
 
 from .known_findings import reason
 

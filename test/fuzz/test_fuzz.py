@@ -27,7 +27,7 @@ SHORT_INPUTS = {"states": 60}
 """Numbers of inputs in short campaigns of kinds that refuse nearly all inputs."""
 
 MIN_SHORT_INPUTS = 10
-SHORT_SHARE = 1 / 40
+SHORT_SHARE = 1 / 80
 """Inputs of a short campaign as share of those of a long one."""
 
 

@@ -6,7 +6,7 @@ A case sets up what its rounds need and returns a function that executes the rou
 import struct
 from typing import Any, Callable, Dict
 
-from checked_access import stream_clock
+from asserting_accessors import stream_clock
 from message_registries import empty_registry
 
 from retalis import Engine, Operators, Reports, RetalisError, Settings, atom, functor

@@ -8,13 +8,13 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from python_path import python_path
+from subprocess_python_path import python_path
 
 from .cases import CASES
 
 TEST = Path(__file__).resolve().parents[1]
 
-MAX_OBJECTS = 300
+MAX_OBJECTS = 150
 """Objects that may remain for other reasons than the rounds."""
 
 PREDICATE = "a predicate whose clauses were all retracted exists, and fails"
@@ -32,7 +32,7 @@ NAMES = [name for name in CASES if name not in EXPECTED_LEAKS]
 def remaining() -> Any:
     """Return the number of objects that each case leaves behind."""
     environment = {**os.environ, "PYTHONPATH": python_path(TEST)}
-    command = [sys.executable, "-m", "leaks", *NAMES]
+    command = [sys.executable, "-m", "leaks", "--rounds", "200", *NAMES]
     return json.loads(
         subprocess.run(command, check=True, capture_output=True, text=True, env=environment).stdout
     )

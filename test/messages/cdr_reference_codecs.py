@@ -19,7 +19,7 @@ from functools import partial
 from importlib import import_module
 from typing import Any, Callable, Iterator, List, NamedTuple, Optional
 
-from checked_access import compound
+from asserting_accessors import compound
 
 from messages.reference_codecs import RandomMessages, check_same, term_of
 from messages.reference_wire_format import serialize
@@ -27,9 +27,8 @@ from retalis import Definition
 from retalis.messages.cdr_decoder import CdrDecoder
 from retalis.messages.cdr_encoder import CdrEncoder
 from retalis.messages.decoder import Decoder
-from retalis.messages.ros2_definitions import parse_ros2_type
 from retalis.messages.type_definition import HEADER
-from retalis.messages.type_registry import InstalledTypes
+from retalis.messages.type_registry import InstalledTypes, parse_ros2_type
 from retalis.prolog.terms.types import CONS, Lazy, Term, deref
 
 BOUNDED_TYPES = (

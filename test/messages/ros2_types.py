@@ -7,7 +7,8 @@ from rosbags.typesys import Stores, get_typestore
 
 from retalis import Definition, Definitions
 from retalis.messages.cdr_decoder import CdrDecoder
-from retalis.messages.ros2_definitions import FindText, parse_ros2_type
+from retalis.messages.ros2_definitions import FindText
+from retalis.messages.type_registry import parse_ros2_type
 from retalis.prolog.syntax.event_text import to_text
 
 STORE = get_typestore(Stores.LATEST)

@@ -121,6 +121,7 @@ def test_bytes_reserved_for_empty_arrays_are_ignored() -> None:
 KINDS = sorted(STORE.types)
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 @pytest.mark.parametrize("name", KINDS)
 def test_messages_of_all_types_equal_those_of_rosbags(name: Any) -> None:
@@ -221,7 +222,7 @@ int8 c
 
 @pytest.mark.slow
 @settings(
-    deadline=None, derandomize=True, max_examples=40, suppress_health_check=[HealthCheck.data_too_large]
+    deadline=None, derandomize=True, max_examples=12, suppress_health_check=[HealthCheck.data_too_large]
 )
 @given(st.lists(st.tuples(st.sampled_from(SLOTS), st.sampled_from(ARRAYS)), max_size=5), st.data())
 def test_messages_of_random_types_equal_those_of_rosbags(slots: List[Any], data: st.DataObject) -> None:

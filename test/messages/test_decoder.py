@@ -4,7 +4,7 @@ import struct
 from typing import Any, List
 
 import pytest
-from checked_access import compound, items, lazy, name_of
+from asserting_accessors import compound, items, lazy, name_of
 from message_registries import decoder_of, empty_registry, section
 from reachable_objects import reachable
 

@@ -6,7 +6,7 @@ from typing import Any, Dict, Iterator, List, Optional, Tuple
 
 import numpy as np
 import pytest
-from checked_access import compound, required
+from asserting_accessors import compound, required
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from message_registries import empty_registry
@@ -402,7 +402,7 @@ def outcome(encode: Any, term: Any) -> Any:
 
 
 @pytest.mark.slow
-@settings(deadline=None, max_examples=400, suppress_health_check=[HealthCheck.too_slow])
+@settings(deadline=None, max_examples=150, suppress_health_check=[HealthCheck.too_slow])
 @given(st.data())
 def test_fast_encoder_agrees_with_checking_one(data: st.DataObject) -> None:
     values = data.draw(messages(MIXED_TYPE, st.text("abü", max_size=3).map(str.encode)))

@@ -4,14 +4,19 @@ import struct
 from typing import Any, Dict, List, Tuple
 
 import pytest
-from checked_access import required
+from asserting_accessors import required
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from message_registries import empty_registry
 
 from retalis import Definitions, MessageError, Operators
 from retalis.messages.event_text_writer import make_text_writer
-from retalis.messages.header_stamps import format_frame_key, make_observed_decoder, make_stamp_reader
+from retalis.messages.header_stamps import (
+    format_frame_key,
+    make_observed_decoder,
+    make_stamp_reader,
+    shift_header_stamp,
+)
 from retalis.messages.type_definition import SerializationFormat
 from retalis.prolog.syntax.event_text import to_text
 from retalis.prolog.syntax.term_reader import read_term
@@ -209,3 +214,26 @@ def test_observed_decoder_limits_empty_elements() -> None:
             else:
                 with pytest.raises(MessageError, match="4 zero-byte elements in its arrays: at most 3"):
                     read(data)
+
+
+@pytest.mark.parametrize("serialization_format", FORMATS)
+@pytest.mark.parametrize(
+    ("shift", "expected"),
+    [(1, (5, 600_000_001)), (-600_000_001, (4, 999_999_999)), (-(10**12), (0, 0)), (10**20, (2147483647, 0))],
+)
+def test_stamp_of_header_is_shifted(
+    serialization_format: SerializationFormat, shift: int, expected: Tuple[int, int]
+) -> None:
+    message, shifted = (
+        encode("t/Own", f"t__0__Own({header(*stamp, 'map')},1.0)", serialization_format)
+        for stamp in ((5, 600_000_000), expected)
+    )
+    assert shift_header_stamp(message, serialization_format, shift) == shifted
+
+
+def test_unset_or_unreadable_stamp_is_not_shifted() -> None:
+    unset = encode("t/Own", f"t__0__Own({header(0, 0, 'map')},1.0)")
+    negative = struct.pack("<HHiII4s4xd", 256, 0, -5, 6, 4, b"map\0", 1.0)
+    assert shift_header_stamp(unset, SerializationFormat.ROS1, 5) == unset
+    assert shift_header_stamp(negative, SerializationFormat.CDR, 5) == negative
+    assert shift_header_stamp(b"\0\1\0", SerializationFormat.CDR, 5) == b"\0\1\0"

@@ -3,7 +3,7 @@
 from typing import Any, List, Sequence
 
 import pytest
-from checked_access import place_of
+from asserting_accessors import place_of
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -11,7 +11,7 @@ pytest.importorskip("lark")
 
 from retalis import MessageError  # noqa: E402
 from retalis.messages.idl_definitions import convert_idl  # noqa: E402
-from retalis.messages.ros2_definitions import parse_ros2_type  # noqa: E402
+from retalis.messages.type_registry import parse_ros2_type  # noqa: E402
 
 
 def convert(slots: str, before: str = "", name: str = "X") -> List[str]:

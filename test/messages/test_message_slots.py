@@ -3,7 +3,7 @@
 from typing import Any, List, Tuple
 
 import pytest
-from checked_access import place_of, required
+from asserting_accessors import place_of, required
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from message_registries import empty_registry

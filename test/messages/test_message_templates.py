@@ -136,8 +136,8 @@ PRINTED = """odd_msgs__0__Odd(              % 68 bytes or more
 % )
 
 % constants of odd_msgs/Odd:
-%   ON = 1 (uint8)
-%   NAME = a % "quoted' */ name (string)
+%   odd_msgs__0__Odd{ON} = 1 (uint8)
+%   odd_msgs__0__Odd{NAME} = a % "quoted' */ name (string)
 
 % for array_min/2, array_percentile/3 and others: bytes
 """

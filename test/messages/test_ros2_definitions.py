@@ -4,11 +4,14 @@ import struct
 from typing import Any, List, Tuple
 
 import pytest
-from checked_access import compound, place_of
+from asserting_accessors import compound, place_of
+from hypothesis import assume, given
+from hypothesis import strategies as st
 
 from messages.ros2_types import cdr, decode_text
 from messages.ros2_types import read_type as read
 from retalis import Definition, Definitions, MessageError
+from retalis.messages.ros2_definitions import ACTION_SYNTAX, Interface
 from retalis.prolog.syntax.event_text import to_text
 
 
@@ -175,10 +178,89 @@ def test_empty_request_of_service_has_a_byte() -> None:
     assert decode_text(message_type, raw).endswith(",[my_msgs__0__Stop_Request],[])")
 
 
-@pytest.mark.parametrize("text", ["int8 x\n", "---\n---\n"])
-def test_service_without_one_separator_is_an_error(text: str) -> None:
-    with pytest.raises(MessageError, match="service my_msgs/Go has [02] lines '---': expected one, between"):
-        read(text, "my_msgs/srv/Go_Event")
+def test_service_with_two_separators_is_an_error() -> None:
+    with pytest.raises(MessageError, match="service my_msgs/Go has 2 lines '---': expected one, between"):
+        read("---\n---\n", "my_msgs/srv/Go_Event")
+
+
+@pytest.mark.parametrize("suffix", ["Request", "Response"])
+def test_request_and_response_are_types_of_service(suffix: str) -> None:
+    slots_by_suffix = {"Request": ["int8 x"], "Response": ["bool ok"]}
+    assert slots(read("int8 x\n---\nbool ok\n", f"my_msgs/srv/Go_{suffix}")) == slots_by_suffix[suffix]
+
+
+def test_definition_of_event_itself_is_read() -> None:
+    """Some recorders store the derived definition in place of the file of the service."""
+    text = (
+        "service_msgs/msg/ServiceEventInfo info\nmy_msgs/srv/Go_Request[<=1] request\n"
+        f"my_msgs/srv/Go_Response[<=1] response\n{'=' * 80}\nMSG: my_msgs/srv/Go_Request\nint8 x\n"
+        f"{'=' * 80}\nMSG: my_msgs/srv/Go_Response\nbool ok\n"
+    )
+    message_type = read(text, "my_msgs/srv/Go_Event")
+    assert slots(message_type) == slots(read("int8 x\n---\nbool ok\n", "my_msgs/srv/Go_Event"))
+
+
+# ---- types of actions --------------------------------------------------------------------------------
+
+ACTION = "int32 order\n---\nint32[] sequence\n---\nint32[] partial_sequence\n"
+
+
+@pytest.mark.parametrize(
+    ("suffix", "expected"),
+    [
+        ("Goal", ["int32 order"]),
+        ("Result", ["int32[] sequence"]),
+        ("Feedback", ["int32[] partial_sequence"]),
+        ("FeedbackMessage", ["unique_identifier_msgs/UUID goal_id", "my_msgs/Fib_Feedback feedback"]),
+        ("SendGoal_Request", ["unique_identifier_msgs/UUID goal_id", "my_msgs/Fib_Goal goal"]),
+        ("SendGoal_Response", ["bool accepted", "time stamp"]),
+        ("GetResult_Request", ["unique_identifier_msgs/UUID goal_id"]),
+        ("GetResult_Response", ["int8 status", "my_msgs/Fib_Result result"]),
+        (
+            "GetResult_Event",
+            [
+                "service_msgs/ServiceEventInfo info",
+                "my_msgs/Fib_GetResult_Request[] request",
+                "my_msgs/Fib_GetResult_Response[] response",
+            ],
+        ),
+    ],
+)
+@pytest.mark.parametrize("heading", ["", f"{'=' * 80}\nACTION: my_msgs/action/Fib\n"])
+def test_types_of_action_are_derived(heading: str, suffix: str, expected: List[str]) -> None:
+    message_type = read(heading + ACTION, f"my_msgs/action/Fib_{suffix}")
+    assert (message_type.name, slots(message_type)) == (f"my_msgs/Fib_{suffix}", expected)
+
+
+def test_feedback_of_action_is_decoded() -> None:
+    message_type = read(ACTION, "my_msgs/action/Fib_FeedbackMessage")
+    raw = b"\0\1\0\0" + b"0123456789abcdef" + struct.pack("<Iii", 2, 1, 1)
+    assert decode_text(message_type, raw) == (
+        "my_msgs__0__Fib_FeedbackMessage(unique_identifier_msgs__0__UUID('\"0123456789abcdef\"'),"
+        "my_msgs__0__Fib_Feedback([1,1]))"
+    )
+
+
+@given(st.lists(st.text(alphabet="ab- #\n\t"), min_size=1, max_size=5))
+def test_definition_of_action_has_three_parts(parts: List[str]) -> None:
+    has_other_separators = any(line.strip() == "---" for part in parts for line in part.splitlines())
+    assume(not has_other_separators)
+    action = Interface("lab/Dock", ACTION_SYNTAX)
+    text = "\n---\n".join(parts)
+    if len(parts) != 3:
+        with pytest.raises(MessageError, match=f"has {len(parts) - 1} lines '---'"):
+            action.split(text)
+        return
+    texts = action.split(text)
+    definitions = [texts[f"lab/Dock_{name}"].rstrip("\n") for name in ("Goal", "Result", "Feedback")]
+    assert definitions == [part.rstrip("\n") for part in parts]
+
+
+def test_action_without_two_separators_is_an_error() -> None:
+    with pytest.raises(
+        MessageError, match="action my_msgs/Fib has 1 lines '---': expected two, between goal,"
+    ):
+        read("---\n", "my_msgs/action/Fib_Feedback")
 
 
 # ---- IDL ---------------------------------------------------------------------------------------------

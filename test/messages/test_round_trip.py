@@ -7,7 +7,7 @@ from typing import Any, List
 from unittest.mock import patch
 
 import pytest
-from checked_access import compound
+from asserting_accessors import compound
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from message_registries import empty_registry

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any, Callable, List, Tuple
 
 import pytest
-from checked_access import fail
+from asserting_accessors import fail
 from message_registries import empty_registry, section
 from reachable_objects import reachable
 

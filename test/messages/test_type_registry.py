@@ -313,3 +313,48 @@ def test_received_type_uses_matching_definition() -> None:
     assert (renamed.name, renamed.fields[0].name) == ("new/C", "z")
     with pytest.raises(MessageError, match="expected pkg/A, found other/D"):
         registry.received("pkg/A", "other/D", "int16 x\n", "*")
+
+
+# ---- types of services and actions -------------------------------------------------------------------
+
+
+def add_interface(folder: Path, name: str, text: str) -> None:
+    path = folder / "robot" / name
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(text)
+
+
+@pytest.mark.parametrize(
+    ("name", "expected"),
+    [
+        ("robot/Go_Request", ["string target"]),
+        ("robot/Go_Event", ["service_msgs/ServiceEventInfo info", "robot/Go_Request[] request"]),
+        ("robot/action/Dock_Feedback", ["float32 distance"]),
+        (
+            "robot/Dock_FeedbackMessage",
+            ["unique_identifier_msgs/UUID goal_id", "robot/Dock_Feedback feedback"],
+        ),
+        ("robot/Dock_SendGoal_Request", ["unique_identifier_msgs/UUID goal_id", "robot/Dock_Goal goal"]),
+    ],
+)
+def test_types_of_installed_interfaces_are_found(tmp_path: Path, name: str, expected: List[str]) -> None:
+    add_interface(tmp_path, "srv/Go.srv", "string<=5 target\n---\nbool ok true\n")
+    add_interface(tmp_path, "action/Dock.action", "builtin_interfaces/Time at\n---\n---\nfloat32 distance\n")
+    definition = Definitions(InstalledTypes([str(tmp_path)], include_rosbags=False)).find(name)
+    slots = [f"{slot.describe()} {slot.name}" for slot in definition.fields]
+    assert slots[: len(expected)] == expected
+
+
+def test_error_in_action_names_file(tmp_path: Path) -> None:
+    add_interface(tmp_path, "action/Dock.action", "---\n")
+    with pytest.raises(
+        MessageError, match=r"Dock\.action: the definition of action robot/Dock has 1 lines '---'"
+    ):
+        InstalledTypes([str(tmp_path)], include_rosbags=False).find("robot/Dock_Feedback")
+
+
+def test_message_file_precedes_derived_type(tmp_path: Path) -> None:
+    add_interface(tmp_path, "action/Dock.action", "---\n---\nfloat32 distance\n")
+    add_interface(tmp_path, "msg/Dock_Feedback.msg", "bool near\n")
+    installed = InstalledTypes([str(tmp_path)], include_rosbags=False)
+    assert Definitions(installed).find("robot/Dock_Feedback").fields[0].name == "near"

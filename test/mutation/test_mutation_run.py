@@ -5,7 +5,7 @@ import subprocess
 import sys
 
 import pytest
-from python_path import ROOT, python_path
+from subprocess_python_path import ROOT, python_path
 
 
 @pytest.mark.nightly

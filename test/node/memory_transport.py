@@ -4,7 +4,7 @@ Publishers and subscribers of one `MemoryNetwork` exchange messages at once, in 
 """
 
 from types import SimpleNamespace
-from typing import Any, Callable, Dict, List
+from typing import Any, Callable, Dict, List, Tuple
 
 from retalis import UsageError
 from retalis.events.knowledge.transform_buffer import TransformBuffer
@@ -22,8 +22,11 @@ class MemoryNetwork:
         now: the time in ns.
         subscriptions: subscriptions by topic.
         publications: publications by topic.
+        watches: functions that receive changes within nodes.
         qualities: demands on the quality of service, by the topic that was subscribed or published last.
         services: node and handler by the full name of a service.
+        ros_parameters: parameters of the middleware by full name; a transport reads them when it is told to.
+        calls: the last call of each service of another node; the test ends it.
     """
 
     def __init__(self, now: int = 1_000 * 10**9) -> None:
@@ -31,7 +34,10 @@ class MemoryNetwork:
         self.subscriptions: Dict[Any, Any] = {}
         self.publications: Dict[Any, Any] = {}
         self.qualities: Dict[str, QualityOfService] = {}
+        self.watches: List[Any] = []
         self.services: Dict[Any, Any] = {}
+        self.calls: Dict[str, Any] = {}
+        self.ros_parameters: Dict[str, Any] = {}
         self.timers: List[Any] = []
 
     def move_time(self, seconds: Any) -> None:
@@ -144,9 +150,11 @@ class MemoryTransport:
         node_name: str = "/retalis",
         parameters: Any = None,
         is_time_simulated: bool = False,
+        message_format: SerializationFormat = SerializationFormat.ROS1,
     ) -> None:
         self.network = network
-        self.format = SerializationFormat.ROS1
+        self.format = message_format
+        self.received_formats: Tuple[SerializationFormat, ...] = (self.format,)
         self.node_name = node_name
         self.is_time_simulated = is_time_simulated
         self.create_transform_buffer: Callable[[float], TransformBuffer] = TransformBuffer
@@ -154,6 +162,7 @@ class MemoryTransport:
         self.shutdown_callbacks: List[Any] = []
         self.is_ended = False
         self._parameters = parameters or {}
+        self._ros_parameters: Dict[str, Any] = {}
 
     def now(self) -> Any:
         return self.network.now
@@ -166,6 +175,12 @@ class MemoryTransport:
 
     def parameters(self) -> Any:
         return dict(self._parameters)
+
+    def refresh_ros_parameters(self) -> None:
+        self._ros_parameters = dict(self.network.ros_parameters)
+
+    def ros_parameter(self, name: Any) -> Any:
+        return self._ros_parameters[name]
 
     def resolve_topic(self, topic: Any) -> Any:
         fault = topic_fault(topic)
@@ -209,6 +224,7 @@ class MemoryTransport:
             definition.md5sum,
             is_latched,
             f"memory:{self.node_name}",
+            self.format,
         )
         publication = MemoryPublication(self.network, topic, source)
         self.network.publications.setdefault(topic, []).append(publication)
@@ -219,6 +235,12 @@ class MemoryTransport:
     def offer_service(self, name: Any, service_type: Any, handler: Any) -> None:
         name = f"{self.node_name}/{name[1:]}" if name.startswith("~") else self.resolve_topic(name)
         self.network.services[name] = (self.node_name, handler)
+
+    def resolve_service(self, name: Any) -> Any:
+        return self.resolve_topic(name)
+
+    def call_service(self, name: Any, call: Any) -> None:
+        self.network.calls[name] = call
 
     def graph(self) -> Any:
         publications = self.network.publications
@@ -236,6 +258,9 @@ class MemoryTransport:
                 if entries
             },
         )
+
+    def watch_nodes(self, report: Any) -> None:
+        self.network.watches.append(report)
 
     def on_shutdown(self, callback: Any) -> None:
         self.shutdown_callbacks.append(callback)

@@ -6,7 +6,7 @@ from typing import Any, Dict, Iterator, List
 import pytest
 from node.memory_transport import MemoryNetwork, MemoryTransport
 
-from retalis import Definitions, Engine, Reports, StreamClock, Work
+from retalis import Definitions, Engine, MessageError, Reports, StreamClock, Work
 from retalis.messages.message_dictionaries import read_message_term
 from retalis.messages.type_registry import InstalledTypes
 from retalis.node.diagnostics import (
@@ -64,6 +64,12 @@ class Listener:
         assert self._received.wait(60)
         return self.messages[0]
 
+    def wait_for(self, hardware_id: str) -> None:
+        """Wait for a message with a hardware id."""
+        while hardware_id not in str(self.messages[-1]):
+            self._received.clear()
+            assert self._received.wait(60)
+
 
 @pytest.fixture
 def network() -> Any:
@@ -101,6 +107,28 @@ def test_each_part_is_a_status_of_node(transport: Any, listener: Listener) -> No
 def test_nothing_is_published_without_period(network: MemoryNetwork, transport: Any) -> None:
     Diagnostics(transport, None, HEALTH, Reports())
     assert network.publications == {}
+
+
+def test_period_and_hardware_id_change(transport: Any, listener: Listener) -> None:
+    diagnostics = Diagnostics(transport, None, HEALTH, Reports())
+    diagnostics.set_options(0.001, "robot8")
+    assert {status["hardware_id"] for status in listener.wait()["status"]} == {"robot8"}
+    diagnostics.set_options(0.002, "robot9")
+    listener.wait_for("robot9")
+
+
+def test_publishing_starts_after_failed_attempt(transport: Any, listener: Listener) -> None:
+    diagnostics = Diagnostics(transport, None, HEALTH, Reports(), "robot7")
+    advertise, transport.advertise = transport.advertise, refuse_topic
+    with pytest.raises(MessageError):
+        diagnostics.set_options(0.001, "robot8")
+    transport.advertise = advertise
+    diagnostics.set_options(0.001, "robot9")
+    assert {status["hardware_id"] for status in listener.wait()["status"]} == {"robot9"}
+
+
+def refuse_topic(*arguments: Any) -> Any:
+    raise MessageError("topic /diagnostics: it exists with another type")
 
 
 def test_missing_package_is_warned_of_once(
@@ -253,7 +281,17 @@ def test_rules_with_errors_are_named() -> None:
     health = EngineHealth(1.0, 10.0)
     part = engine_health(engine, 0.0, health)["rules"]
     assert (part.level, part.values) == (Level.ERROR, [("hot mine:1:1", "1 error")])
+    assert part.message == "1 error in 1 rule: hot (mine:1)"
     assert engine_health(engine, 2 * RECENT_SECONDS, health)["rules"].level is Level.WARN
+
+
+def test_rule_without_label_is_named_beside_its_key() -> None:
+    engine = Engine()
+    engine.load(rules="c(X) <- b(X) where X > 1.", source="/program/mine")
+    engine.event("b(many)", 1)
+    part = engine_health(engine)["rules"]
+    assert part.message == "1 error in 1 rule: c(X) (mine:1)"
+    assert part.values == [("/program/mine:1:1", "1 error"), ("name of /program/mine:1:1", "c(X)")]
 
 
 def test_long_wait_of_query_is_a_warning() -> None:
@@ -366,4 +404,22 @@ def test_lags_and_delays_are_reported() -> None:
     engine.event("beat", 9.75)
     health = engine_health(engine)["late events"]
     assert (health.level, health.message) == (Level.OK, "alarms wait up to 0.250 s")
-    assert dict(health.values) == {"lag of beat/0 (s)": "0.250", "delay of mine:1:1 (s)": "0.250"}
+    assert dict(health.values) == {
+        "lag of beat/0 (s)": "0.250",
+        "delay of mine:1:1 (s)": "0.250",
+        "name of mine:1:1": "lost",
+    }
+
+
+def test_failed_call_of_service_is_a_warning() -> None:
+    engine = Engine(StreamClock(1))
+    health = EngineHealth(1.0, 10.0)
+    assert "services" not in engine_health(engine, 0.0, health)
+    engine.on_service_call(lambda call: None)
+    goal = "ros_service('/dock', 'std_srvs/Trigger', {}, a)"
+    engine.call(goal.format("std_srvs__0__Trigger_Request"))
+    part = engine_health(engine, 1.0, health)["services"]
+    assert (part.level, part.message, dict(part.values)["under way"]) == (Level.OK, "1 call", "1")
+    engine.call(goal.format("wrong"))
+    assert engine_health(engine, 2.0, health)["services"].level is Level.WARN
+    assert engine_health(engine, 2.0 + 2 * RECENT_SECONDS, health)["services"].level is Level.OK

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any, Callable, List, Set, Tuple
 
 import pytest
-from node.hosts import Robot, start_host
+from node.in_memory_hosts import Robot, start_host
 from node.memory_transport import MemoryNetwork
 
 from retalis import Definitions
@@ -14,12 +14,11 @@ from retalis.messages.type_registry import InstalledTypes
 from retalis.node.graph_watch import (
     GRAPH_TYPE,
     NO_GRAPH,
-    GraphChange,
     WatchedGraph,
     find_changes,
     read_graph,
 )
-from retalis.node.transport import Mismatch, NodeGraph
+from retalis.node.transport import GraphChange, Mismatch, NodeGraph
 
 MESSAGE = Path(__file__).parents[2] / "msg" / "GraphChange.msg"
 
@@ -51,16 +50,16 @@ def test_nodes_of_topics_and_services_are_read() -> None:
 def test_first_graph_consists_of_changes() -> None:
     assert list(find_changes(NO_GRAPH, make_graph(("/a",), ("/t",), ("/u",)))) == [
         GraphChange("node_started", "/a"),
-        GraphChange("topic_published", topic="/t"),
-        GraphChange("publisher_missing", topic="/u"),
+        GraphChange("topic_published", name="/t"),
+        GraphChange("publisher_missing", name="/u"),
     ]
 
 
 def test_end_of_node_and_topic_is_change() -> None:
     before, after = make_graph(("/a", "/b"), ("/t",), ("/u",)), make_graph(("/b",))
     assert list(find_changes(before, after)) == [
-        GraphChange("publisher_found", topic="/u"),
-        GraphChange("topic_unpublished", topic="/t"),
+        GraphChange("publisher_found", name="/u"),
+        GraphChange("topic_unpublished", name="/t"),
         GraphChange("node_ended", "/a"),
     ]
 
@@ -119,10 +118,10 @@ def network() -> MemoryNetwork:
     return MemoryNetwork()
 
 
-def start(network: MemoryNetwork, folder: Path, topics: str) -> Any:
+def start(network: MemoryNetwork, folder: Path, topics: str, rules: str = RULES) -> Any:
     (folder / "pub_sub.xml").write_text(topics)
     (folder / "goalPredicates.txt").write_text(GOALS)
-    (folder / "rules.txt").write_text(RULES)
+    (folder / "rules.txt").write_text(rules)
     return start_host(network, folder)
 
 
@@ -153,3 +152,14 @@ def test_message_has_slots_of_change(network: MemoryNetwork, tmp_path: Path) -> 
     host.transport.shut_down()
     first = read_message_term(definition, definitions.decoder(definition).decode(publication.messages[0]))
     assert first["kind"] == "node_started"
+
+
+def test_changes_of_nodes_are_published(network: MemoryNetwork, tmp_path: Path) -> None:
+    robot = Robot(network)
+    robot.subscribe("/alarm")
+    rules = "std_msgs__0__String(Name) <- graph('\"state_changed\"', '\"/slam\"', Name, '\"inactive\"')."
+    host = start(network, tmp_path, TOPICS, rules)
+    (report,) = network.watches
+    report(GraphChange("state_changed", "/slam", "active", "inactive"))
+    wait_until(lambda: robot.received["/alarm"] == ["active"])
+    host.transport.shut_down()

@@ -45,6 +45,15 @@ def topics(network: MemoryNetwork) -> Topics:
     return Topics(network)
 
 
+@pytest.mark.parametrize("text", ["hello", '"hello"', "'hello'"])
+def test_text_of_plain_program_is_published(network: MemoryNetwork, text: str) -> None:
+    definitions = Definitions().with_strings("plain")
+    published = PublishedTopics(MemoryTransport(network), definitions, 5, Reports())
+    published.advertise("said", "std_msgs/String")
+    published.publish_text(f"event(std_msgs__0__String({text}),said,id)")
+    assert network.publications["/said"][0].messages == [b"\5\0\0\0hello"]
+
+
 def test_output_is_published_as_message(network: MemoryNetwork, topics: Topics) -> None:
     topics.advertise("said", "std_msgs/String")
     topics.publish(TEXT, "said")

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any, Dict, Iterator, Tuple
 
 import pytest
-from node.hosts import DEFINITIONS, Robot, encode, start_host
+from node.in_memory_hosts import DEFINITIONS, Robot, encode, start_host
 from node.memory_transport import MemoryNetwork, MemoryTransport
 
 from retalis.node.text_exchange import serialize_text

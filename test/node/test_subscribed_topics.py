@@ -100,6 +100,27 @@ def test_messages_that_transport_has_lost_are_counted(network: Any, caplog: pyte
     ]
 
 
+def test_event_without_stamp_has_time_of_reception(subscribe: Any, network: MemoryNetwork) -> None:
+    results: List[Any] = []
+
+    def make_handler(decoder: Any, topic: Any, source: Any) -> Any:
+        return lambda data: (data, decoder.stamp(data))
+
+    subscribe(
+        "geometry_msgs/PointStamped",
+        make_handler,
+        consume_results=results.extend,
+        stamp_receipt=lambda received: received + 1,
+    )
+    (subscription,) = network.subscriptions["/heat"]
+    source = MessageSource("/talker", "geometry_msgs/PointStamped")
+    unstamped, stamped = bytes(40), bytes([0] * 4 + [7] + [0] * 35)
+    receive = subscription.connect(source).receive
+    receive([unstamped, stamped, unstamped], [100, 200, 300])
+    receive([unstamped])
+    assert [instant for _, instant in results] == [101, 7 * 10**9, 301, None]
+
+
 @pytest.mark.parametrize("message_type", ["*", "std_msgs/String"])
 def test_source_without_definition_has_known_type(
     subscribe: Any, network: MemoryNetwork, message_type: str

@@ -8,7 +8,7 @@ from node.memory_transport import MemoryNetwork, MemoryTransport
 
 from retalis import Engine, Reports, functor
 from retalis.node import transport_time
-from retalis.node.transport_time import HostClock, Receipts, SimulatedTime
+from retalis.node.transport_time import HostClock, Receipts, ReceiptStamps, SimulatedTime
 from retalis.prolog.terms.timestamps import SECOND
 
 
@@ -26,6 +26,30 @@ def test_receipt_stamps_are_distinct_in_each_epoch() -> None:
         2 * SECOND + 1,
         9 * SECOND,
     ]
+
+
+def test_stamp_of_reception_increases() -> None:
+    now = 100 * SECOND
+    stamp = ReceiptStamps(lambda: now).stamp
+    received = [90 * SECOND, 91 * SECOND, 91 * SECOND, 90 * SECOND, 92 * SECOND]
+    assert [stamp(instant) for instant in received] == [
+        90 * SECOND,
+        91 * SECOND,
+        91 * SECOND + 1,
+        91 * SECOND + 2,
+        92 * SECOND,
+    ]
+
+
+@pytest.mark.parametrize("received", [0, 40 * SECOND, 101 * SECOND])
+def test_instant_of_other_clock_is_no_stamp(received: int) -> None:
+    assert ReceiptStamps(lambda: 100 * SECOND).stamp(received) is None
+
+
+def test_stamps_follow_clock_that_was_set_back() -> None:
+    times = iter([100 * SECOND, 50 * SECOND])
+    stamp = ReceiptStamps(lambda: next(times)).stamp
+    assert [stamp(99 * SECOND), stamp(49 * SECOND)] == [99 * SECOND, 49 * SECOND]
 
 
 def test_wall_time_has_no_epochs() -> None:

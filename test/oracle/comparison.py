@@ -24,6 +24,9 @@ from .strategies import Case, random_case
 REFUSED = (
     "uses a pattern to the left of it",
     "the pattern of absent uses a variable",
+    "the pattern of not_preceded uses a variable",
+    "the time of absent depends on a condition",
+    "absent needs a positive number of seconds, or a variable that",
     "rate needs a window of at least two events",
     "a measured value has a variable",
 )
@@ -224,6 +227,8 @@ def add_options(parser: argparse.ArgumentParser, cases: int, show: int) -> None:
     parser.add_argument("--show", type=int, default=show, help="how many differences to shrink and print")
     parser.add_argument("--streams", action="store_true", help="windows, shapes and absences with a deadline")
     parser.add_argument("--revision", action="store_true", help="streams that take events back")
+    parser.add_argument("--instants", action="store_true", help="at_end and at_start, too")
+    parser.add_argument("--overlaps", action="store_true", help="without, too")
     parser.add_argument(
         "--unsure", action="store_true", help="conditions also over variables that may be left open"
     )
@@ -249,7 +254,15 @@ def main() -> int:
     for seed in count(options.seed):
         if compared == options.cases:
             break
-        case = random_case(seed, options.depth, options.revision, options.unsure, options.streams)
+        case = random_case(
+            seed,
+            options.depth,
+            options.revision,
+            options.unsure,
+            options.streams,
+            options.instants,
+            options.overlaps,
+        )
         compared += is_defined(case)
         if used is None or compared % 500 == 0:
             used = None if options.new else ReusableEngine()

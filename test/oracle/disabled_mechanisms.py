@@ -30,6 +30,7 @@ from retalis.events.streams import row_pattern
 from retalis.events.streams.absence_timeout import AbsenceTimeout
 from retalis.events.streams.rate_operators import RATE_OPERATORS, Debounce, DistinctUntilChanged, Throttle
 from retalis.events.streams.row_pattern import RowPatternNFA, RowPatternWindow
+from retalis.events.streams.session_window import SessionWindow
 from retalis.events.streams.stream_operators import StreamElement, StreamOutput
 from retalis.events.streams.windows import (
     AnchoredTumblingWindow,
@@ -322,6 +323,11 @@ def never_over(stream: Any, instant: int) -> List[StreamOutput]:
     return []
 
 
+def unmerged(stream: Any, key: Any, sessions: Any, position: int) -> None:
+    """Leave the elements of a session alone."""
+    stream._schedule(key, sessions[position])
+
+
 LONG = 10**9
 MECHANISMS: Dict[str, Mechanism] = {
     "time window removes elements": Mechanism(
@@ -339,6 +345,12 @@ MECHANISMS: Dict[str, Mechanism] = {
     ),
     "anchored window ends": Mechanism(
         method(AnchoredTumblingWindow, "_close", never_over), windows("first", "running_first")
+    ),
+    "sessions are merged": Mechanism(
+        method(SessionWindow, "_merge_following", unmerged), windows("session", "bounded_session")
+    ),
+    "maximum length of sessions": Mechanism(
+        window("session", lambda make, form: SessionWindow(make, form.gap, None)), windows("bounded_session")
     ),
     "groups and keys": Mechanism(one_key, oracle_about(has_key)),
     "timestamps too far ahead": Mechanism(

@@ -17,6 +17,7 @@ from .after_match_skipping import Skipping
 from .goals import first, instance, show
 from .matches import POLICIES, Event, Gap, Match
 from .patterns import (
+    NEGATIONS,
     STREAMED,
     Aggregate,
     Awaited,
@@ -24,12 +25,15 @@ from .patterns import (
     Cnot,
     Do,
     Fnot,
+    Instant,
     Leaf,
     Multiply,
     Or,
     Pattern,
+    Preceded,
     Rule,
     Star,
+    Without,
     strip,
     take_out_subpatterns,
     walk,
@@ -62,7 +66,7 @@ class RuleState(Streams):
         self.completed: Dict[Pattern, Set[FrozenSet[int]]] = {}
         """Single events that have completed matches as the right side; revision may release their left sides."""
         self.skipping = Skipping(rule)
-        absent = [node.absent for node in self.place if isinstance(node, (Awaited, Cnot, Fnot))]
+        absent = [node.absent for node in self.place if isinstance(node, (Awaited, Preceded, *NEGATIONS))]
         self.below_absent = {below for node in absent for below in walk(node)}
 
     def derived_events(self, event: Event) -> List[Event]:
@@ -95,6 +99,7 @@ class RuleState(Streams):
         operator, conditions = strip(node)
         if not isinstance(operator, (Do, Multiply)):
             return [[match] for match in self.arrive(node, event)]
+        self._store_overlapping(conditions, event)
         return [
             self.filter_conditions(operator, conditions, self.apply_goal(operator, matches))
             for matches in self.whole(operator.pattern, event)
@@ -143,12 +148,14 @@ class RuleState(Streams):
         """Return the matches of a pattern that an event completes, in order."""
         # Patterns: a condition belongs to the nearest operator below it.
         operator, conditions = strip(node)
+        self._store_overlapping(conditions, event)
         tests = [self.test_of(condition) for condition in conditions]
         if isinstance(operator, Cnot):
             # Policies: conditions may be between a cnot and its seq.
             inner, between = strip(operator.pattern)
             if isinstance(inner, Both) and inner.kind == "seq":
                 self._absent(operator, event)
+                self._store_overlapping(between, event)
                 lower = [self.test_of(condition) for condition in between]
                 return self.two_sided(inner, event, [*lower, *tests], operator)
         if isinstance(operator, Both):
@@ -180,6 +187,8 @@ class RuleState(Streams):
             return self.arrive(node.left, event) + self.arrive(node.right, event)
         if isinstance(node, (Do, Multiply)):
             return self.apply_goal(node, self.arrive(node.pattern, event))
+        if isinstance(node, Instant):
+            return [instant_of(node, match) for match in self.arrive(node.pattern, event)]
         assert isinstance(node, (Cnot, Fnot))
         self._absent(node, event)
         allowed = [self.allowed(node, match) for match in self.arrive(node.pattern, event)]
@@ -211,6 +220,12 @@ class RuleState(Streams):
     def _absent(self, node: Any, event: Event) -> None:
         """Store forbidden matches. Policies: they are never consumed."""
         self.waiting.setdefault((node, "absent"), []).extend(self.arrive(node.absent, event))
+
+    def _store_overlapping(self, conditions: List[Pattern], event: Event) -> None:
+        """Store what without forbids. Without: an event that is both R and part of P counts as R first."""
+        for condition in conditions:
+            if isinstance(condition, Without):
+                self._absent(condition, event)
 
     # Two sides.
 
@@ -251,7 +266,9 @@ class RuleState(Streams):
         unmatched: List[Any] = []
         for p in lefts:
             # Patterns: a late first side is accepted only under out_of_order.
-            pairs = self.complete(q_waiting, partial(fit, p)) if self.out_of_order else []
+            # Policies: unrestricted, every combination fires; else an event completes first, then waits.
+            seconds = q_waiting if self.consuming else q_waiting + rights
+            pairs = self.complete(seconds, partial(fit, p)) if self.out_of_order else []
             results += pairs
             # Policies: after a match it is not stored, except under unrestricted.
             if not pairs or not (self.consuming or for_all):
@@ -371,6 +388,12 @@ class RuleState(Streams):
                 waiting[:] = [match for match in waiting if not self.expired(node, match)]
         for node, runs in self.runs.items():
             runs[:] = [run for run in runs if not self.expired(node, run.start)]
+
+
+def instant_of(node: Instant, match: Match) -> Match:
+    """Table, at_end and at_start: the interval is the instant of the end or of the start."""
+    instant = match.end if node.name == "at_end" else match.start
+    return replace(match, start=instant, end=instant)
 
 
 def composed_first(matches: List[Match]) -> List[Match]:

@@ -18,15 +18,18 @@ from events.operator_table import PAIRS
 from retalis import Term
 from retalis.prolog.terms.term_traversal import copy
 
+from .evaluator import instant_of
 from .goals import first, instance, show
 from .matches import Event, Match
 from .patterns import (
+    NEGATIONS,
     STREAMED,
     Aggregate,
     Both,
     Cnot,
     Do,
     Fnot,
+    Instant,
     Leaf,
     Multiply,
     Or,
@@ -34,6 +37,7 @@ from .patterns import (
     Rule,
     Star,
     Sub,
+    Without,
     strip,
     walk,
 )
@@ -53,6 +57,15 @@ def defined_for(rules: Sequence[Rule]) -> bool:
         return False
     if rules[0].policy_by("unrestricted") != "unrestricted" or rules[0].after_match != "keep":
         return False
+    # A without between a cnot and its sequence is not evaluated here.
+    between = [
+        condition
+        for node in walk(rules[0].pattern)
+        if isinstance(node, Cnot)
+        for condition in strip(node.pattern)[1]
+    ]
+    if any(isinstance(condition, Without) for condition in between):
+        return False
     return not any(
         isinstance(node, (Star, Aggregate, Sub, *STREAMED))
         or (isinstance(node, Both) and node.kind == "forall_seq")
@@ -63,9 +76,7 @@ def defined_for(rules: Sequence[Rule]) -> bool:
 def has_outer_absence(rule: Rule) -> bool:
     """Return whether a pattern that a cnot or fnot forbids has variables of patterns further left."""
     tests = Conditions(rule)
-    return any(
-        isinstance(node, (Cnot, Fnot)) and tests.waits_for_left(node, {}, node) for node in tests.place
-    )
+    return any(isinstance(node, NEGATIONS) and tests.waits_for_left(node, {}, node) for node in tests.place)
 
 
 class Combinations:
@@ -87,11 +98,27 @@ class Combinations:
         """Return all matches of a pattern."""
         operator, conditions = strip(node)
         matches = self._operator(operator, events, conditions)
-        tests = [self.tests.test_of(condition) for condition in conditions]
+        absences = {
+            condition: self.timed_matches(condition.absent, events)
+            for condition in conditions
+            if isinstance(condition, Without)
+        }
         result: List[Any] = []
         for match, arrival in matches:
-            settled = self.tests.settle(match, operator)
-            passed = None if settled is None else self.tests.passes(settled, tests)
+            passed = self.tests.settle(match, operator)
+            for condition in conditions:
+                if passed is None:
+                    break
+                if not isinstance(condition, Without):
+                    passed = self.tests.passes(passed, [self.tests.test_of(condition)])
+                    continue
+                absent_arrivals = [
+                    r_arrival
+                    for r, r_arrival in absences[condition]
+                    if r.start < passed.end and passed.start < r.end and self.tests.agree(r, passed.bindings)
+                ]
+                if not self._is_allowed(condition, passed, arrival, absent_arrivals):
+                    passed = None
             if passed is not None:
                 result.append(TimedMatch(passed, arrival))
         return result
@@ -120,6 +147,11 @@ class Combinations:
                 TimedMatch(replace(match, bindings=bindings), arrival)
                 for match, arrival in self.timed_matches(node.pattern, events)
                 for bindings in all_solutions(node.goal, match.bindings)
+            ]
+        if isinstance(node, Instant):
+            return [
+                TimedMatch(instant_of(node, match), arrival)
+                for match, arrival in self.timed_matches(node.pattern, events)
             ]
         assert isinstance(node, (Cnot, Fnot))
         return self._absent(node, events)

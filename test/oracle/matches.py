@@ -4,9 +4,11 @@ Times are any exact numbers, in seconds.
 """
 
 from dataclasses import dataclass, field
+from fractions import Fraction
 from typing import Any, Callable, Dict, FrozenSet, List, NamedTuple, Optional, Tuple
 
 from retalis import Term, make_list
+from retalis.prolog.terms.types import NIL
 
 from .goals import Bindings, quotient, show
 
@@ -32,10 +34,10 @@ class Pending:
 
 @dataclass(frozen=True, eq=False)
 class Gap:
-    """Interval in which cnot or fnot forbids events, with variables that patterns to the left have not bound yet."""
+    """Interval in which cnot, fnot or without forbids events, with variables that are not bound yet."""
 
     node: Any
-    """The cnot or fnot."""
+    """The cnot, fnot or without."""
     after: Any
     """Start of the gap; None if it has no start."""
     before: Any
@@ -89,13 +91,57 @@ class Run:
     """The repetitions that extended it."""
 
 
-# The table of patterns: aggregates. Count, sum and list have a value from the start, the others with the
-# first repetition.
-AGGREGATES: Dict[str, Callable[[List[Any]], Any]] = {
+def quantile(part: Fraction, values: List[Any]) -> Any:
+    """Return a quantile, linear between two numbers."""
+    ordered = sorted(values)
+    place = part * (len(ordered) - 1)
+    low = ordered[int(place)]
+    if place == int(place):
+        return low
+    return low + (ordered[int(place) + 1] - low) * float(place - int(place))
+
+
+def deviation(values: List[Any]) -> Any:
+    """Return the standard deviation of a sample."""
+    if len(values) < 2:
+        return None
+    mean = Fraction(sum(map(Fraction, values))) / len(values)
+    spread = sum((Fraction(value) - mean) ** 2 for value in values) / (len(values) - 1)
+    return float(spread) ** 0.5
+
+
+def distinct_terms(values: List[Any]) -> List[Any]:
+    """Return the values without repeated terms, in their order."""
+    terms: Dict[str, Any] = {}
+    for value in values:
+        terms.setdefault(show(value), value)
+    return list(terms.values())
+
+
+NUMERIC = ("sum", "min", "max", "avg", "stddev", "median", "quantile")
+RESULTS: Dict[str, Callable[[List[Any]], Any]] = {
     "count": len,
     "sum": sum,
+    "min": min,
+    "max": max,
+    "avg": lambda values: quotient(sum(values), len(values)),
+    "stddev": deviation,
+    "median": lambda values: quantile(Fraction(1, 2), values),
+    "quantile": lambda values: quantile(Fraction(1, 4), values),
+    "first": lambda values: values[0],
+    "last": lambda values: values[-1],
     "list": make_list,
-    "min": lambda values: min(values) if values else None,
-    "max": lambda values: max(values) if values else None,
-    "avg": lambda values: quotient(sum(values), len(values)) if values else None,
+    "distinct": lambda values: make_list(distinct_terms(values)),
+    "count_distinct": lambda values: len(distinct_terms(values)),
+    "changes": lambda values: sum(show(one) != show(other) for one, other in zip(values, values[1:])),
 }
+"""Results of values in order: of a window that is not empty, or of at least one repetition."""
+EMPTY_RESULTS: Dict[str, Any] = {
+    "count": 0,
+    "sum": 0,
+    "count_distinct": 0,
+    "changes": 0,
+    "list": NIL,
+    "distinct": NIL,
+}
+"""Results without values; the others have none."""

@@ -107,6 +107,22 @@ class Fnot(Pattern):
 
 
 @dataclass(frozen=True, eq=False)
+class Without(Pattern):
+    """``pattern without absent``."""
+
+    pattern: Pattern
+    absent: Pattern
+
+
+@dataclass(frozen=True, eq=False)
+class Instant(Pattern):
+    """``at_end(pattern)`` or ``at_start(pattern)``."""
+
+    pattern: Pattern
+    name: str
+
+
+@dataclass(frozen=True, eq=False)
 class Star(Pattern):
     """``first seq (repeated star_times)``."""
 
@@ -165,7 +181,16 @@ class Shaped(Pattern):
 
 @dataclass(frozen=True, eq=False)
 class Awaited(Pattern):
-    """``pattern seq absent(absent, seconds)``."""
+    """``pattern seq absent(absent, seconds)``; the seconds are a number or a variable of ``pattern``."""
+
+    pattern: Pattern
+    absent: Pattern
+    seconds: Any
+
+
+@dataclass(frozen=True, eq=False)
+class Preceded(Pattern):
+    """``pattern with not_preceded(absent, seconds)``."""
 
     pattern: Pattern
     absent: Pattern
@@ -222,10 +247,13 @@ WINDOWS = {
     "running_first": "running(every({0},first))",
     "running": "running(every({0}))",
     "every": "last({0},every({1}))",
+    "session": "session({0})",
+    "bounded_session": "session({0},max({1}))",
 }
 """Notation of windows with their span and step."""
-STREAMED = (Windowed, Shaped, Awaited)
-CONDITIONS = (Where, Check, Within)
+STREAMED = (Windowed, Shaped, Awaited, Preceded)
+CONDITIONS = (Where, Check, Within, Without)
+NEGATIONS = (Cnot, Fnot, Without)
 
 
 def parts(node: Pattern) -> List[Any]:
@@ -353,7 +381,7 @@ def take_out_subpatterns(rules: List[Rule]) -> List[Rule]:
 def strip(node: Pattern) -> Tuple[Pattern, List[Pattern]]:
     """Return the nearest operator (or leaf) at or below a pattern, and the conditions above it, lowest first.
 
-    "A condition (where, within, check) belongs to the nearest operator below it, looking through other
+    "A condition (where, within, check, without) belongs to the nearest operator below it, looking through other
     conditions."
     """
     conditions: List[Pattern] = []

@@ -15,6 +15,8 @@ from dataclasses import dataclass, field
 from typing import Any, Dict, FrozenSet, Iterable, Iterator, List, Optional, Sequence, Set, Tuple
 from typing import Counter as CounterOf
 
+from events.operator_table import EITHER_ORDER
+
 from retalis import Term, functor
 from retalis.prolog.terms.term_traversal import copy
 
@@ -24,6 +26,7 @@ from .event_combinations import defined_for as defined_without_state
 from .goals import first, instance, show
 from .matches import Event, Match, Run
 from .patterns import (
+    NEGATIONS,
     STREAMED,
     Aggregate,
     Both,
@@ -33,6 +36,8 @@ from .patterns import (
     Rule,
     Star,
     Within,
+    Without,
+    strip,
     take_out_subpatterns,
     walk,
 )
@@ -53,20 +58,23 @@ def defined_for(rules: Sequence[Rule], policy: str, out_of_order: bool) -> bool:
     nodes = [node for rule in rules for node in walk(rule.pattern)]
     if any(isinstance(node, STREAMED) for node in nodes):
         return False  # see test_streams.py of the network
-    if not any(isinstance(node, (Cnot, Fnot)) for node in nodes):
+    if not any(isinstance(node, NEGATIONS) for node in nodes):
         return True
     limited = any(rule.window is not None for rule in rules) or any(isinstance(n, Within) for n in nodes)
     policies = {rule.policy_by(policy) for rule in plain}
     if "unrestricted" in policies:
         return not limited and len(policies) == 1 and combines(rules)
+    operators = [strip(node)[0] for node in nodes if isinstance(node, Without)]
+    if any(not isinstance(node, Both) or node.kind in EITHER_ORDER for node in operators):
+        return False  # see `events/matches/test_negation.py`
     late = any(rule.late_by(out_of_order) for rule in plain)
-    return not limited and not (late and any(isinstance(node, Cnot) for node in nodes))
+    return not limited and not (late and any(isinstance(node, (Cnot, Without)) for node in nodes))
 
 
 def revisable_parts(rule: Rule) -> Iterator[Pattern]:
     """Yield the parts of a rule whose results may return when an event is retracted."""
     for node in walk(rule.pattern):
-        if isinstance(node, (Cnot, Fnot, Star, Aggregate)):
+        if isinstance(node, (*NEGATIONS, Star, Aggregate)):
             yield node
 
 
@@ -77,8 +85,8 @@ def combines(rules: Sequence[Rule]) -> bool:
     match that has fired: such a match is not retracted.
     """
     nodes = [node for rule in rules for node in walk(rule.pattern)]
-    negated = [node for node in nodes if isinstance(node, (Cnot, Fnot)) for node in walk(node.absent)]
-    return not any(isinstance(node, (Cnot, Fnot)) for node in negated) and (
+    negated = [node for node in nodes if isinstance(node, NEGATIONS) for node in walk(node.absent)]
+    return not any(isinstance(node, NEGATIONS) for node in negated) and (
         defined_without_state(rules)
         and not any(isinstance(node, Within) for node in nodes)
         and (rules[0].window is None)
@@ -158,6 +166,7 @@ class RevisedState(RuleState):
         """Second sides and repetitions that were not stored, in the order of arrival."""
         self.retracted: Set[int] = set()
         self.reviving = False
+        self.limited_by_overlaps = {strip(node)[0] for node in self.place if isinstance(node, Without)}
 
     def forget(self, numbers: FrozenSet[int]) -> None:
         """Remove the partial matches that hold one of these events."""
@@ -337,7 +346,7 @@ class RevisedState(RuleState):
     def two_sided(self, node: Both, event: Event, tests: List[Test], cnot: Optional[Cnot]) -> List[Match]:
         """Extend `RuleState`: second sides without partners are evaluated again, as a cnot may have rejected them."""
         again: List[Match] = []
-        if self.reviving and cnot is not None:
+        if self.reviving and (cnot is not None or node in self.limited_by_overlaps):
             unmatched = self.suppressed.setdefault(node, [])
             for q in list(unmatched):
 

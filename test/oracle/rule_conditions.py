@@ -12,15 +12,16 @@ from retalis.prolog.terms.term_traversal import copy, variables
 from .goals import Bindings, GoalError, first, instance, merge, show, solve, unbound, unify
 from .matches import Event, Gap, Match, Pending
 from .patterns import (
+    NEGATIONS,
     STREAMED,
     Check,
-    Cnot,
-    Fnot,
+    Instant,
     Leaf,
     Pattern,
     Rule,
     Where,
     Within,
+    Without,
     children,
     expand,
     parts,
@@ -61,11 +62,11 @@ class Conditions:
         if isinstance(node, Within):
             limits = [*limits, node.seconds]
         self.limits[node] = limits
-        if isinstance(node, STREAMED):
-            limits = []  # Streams: a within limits the emitted matches.
+        if isinstance(node, (*STREAMED, Instant)):
+            limits = []  # Streams: a within limits the emitted matches; instants: the time between them.
         for child in children(node):
             # A forbidden pattern is no part of the match that a within limits.
-            own = isinstance(node, (Cnot, Fnot)) and child is node.absent
+            own = isinstance(node, NEGATIONS) and child is node.absent
             self._note_limits(child, [] if own else limits)
 
     def outside(self, node: Pattern) -> Set[Var]:
@@ -94,6 +95,9 @@ class Conditions:
         if isinstance(condition, Within):
             # Table, within: e - s < N seconds, whatever the pattern is.
             return lambda match: match if match.end - match.start < condition.seconds else None
+        if isinstance(condition, Without):
+            # Table, without: no R overlaps P.
+            return lambda match: self.outside_gap(Gap(condition, match.start, match.end), match)
         assert isinstance(condition, (Where, Check))
 
         def test(match: Match) -> Optional[Match]:
@@ -138,6 +142,8 @@ class Conditions:
         """Return whether a forbidden event lies in a gap."""
         for r in self.absent(gap.node):
             inside = r.end < gap.before and (gap.after is None or gap.after < r.start)
+            if isinstance(gap.node, Without):
+                inside = r.start < gap.before and gap.after < r.end
             if inside and self.agree(r, {**bindings, **(gap.fresh or {})}):
                 return True
         return False
@@ -219,7 +225,7 @@ def may_bind(node: Pattern) -> List[Var]:
     """Return the variables that a pattern may bind: none that occurs only in a forbidden pattern."""
     bound: List[Var] = []
     for part in parts(node):
-        if isinstance(node, (Cnot, Fnot)) and part is node.absent:
+        if isinstance(node, NEGATIONS) and part is node.absent:
             continue
         if isinstance(part, Pattern):
             bound += may_bind(part)

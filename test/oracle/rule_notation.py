@@ -9,13 +9,14 @@ import re
 from fractions import Fraction
 from typing import Any, Dict, Iterable, Iterator, List, Tuple
 
-from checked_access import compound
-from events.operator_table import AGGREGATES, PAIRS
+from asserting_accessors import compound
+from events.operator_table import AGGREGATES, INSTANTS, PAIRS
 
 from retalis import Term, Var, atom, functor, list_items, make_list
 
 from .goals import show
 from .patterns import (
+    NEGATIONS,
     WINDOWS,
     Aggregate,
     Awaited,
@@ -24,11 +25,13 @@ from .patterns import (
     Cnot,
     Do,
     Fnot,
+    Instant,
     Leaf,
     Multiply,
     Ntimes,
     Or,
     Pattern,
+    Preceded,
     Prolog,
     Rule,
     Shaped,
@@ -37,6 +40,7 @@ from .patterns import (
     Where,
     Windowed,
     Within,
+    Without,
     walk,
 )
 from .row_pattern_matches import steps_of
@@ -96,6 +100,7 @@ def pattern_of(term: Term) -> Pattern:
         "or": lambda p, q: Or(pattern_of(p), pattern_of(q)),
         "cnot": lambda p, q: Cnot(pattern_of(p), pattern_of(q)),
         "fnot": lambda p, q: Fnot(pattern_of(p), pattern_of(q)),
+        "without": lambda p, q: Without(pattern_of(p), pattern_of(q)),
         "where": lambda p, goal: Where(pattern_of(p), goal),
         "check": lambda p, goal: Check(pattern_of(p), goal),
         "timestamp": lambda p, goal: Check(pattern_of(p), goal),
@@ -105,6 +110,8 @@ def pattern_of(term: Term) -> Pattern:
         "ntimes": lambda p, n: Ntimes(pattern_of(p), n),
         "<-": lambda head, p: Sub(head, pattern_of(p)),
     }
+    if len(args) == 1 and name in INSTANTS:
+        return Instant(pattern_of(args[0]), name)
     if len(args) == 2 and name in constructors:
         result: Pattern = constructors[name](*args)
         return result
@@ -120,7 +127,7 @@ def _sequence(left: Term, right: Term) -> Any:
         return Star(pattern_of(left), pattern_of(right[1]))
     if right.__class__ is tuple and right[0] is functor("aggregate", 3):
         kind = right[1]
-        value = kind[1] if kind.__class__ is tuple else None
+        value = kind[-1] if kind.__class__ is tuple else None
         name = kind[0].name if kind.__class__ is tuple else kind.name
         assert name in AGGREGATES, name
         return Aggregate(pattern_of(left), name, value, pattern_of(right[2]), right[3])
@@ -229,12 +236,18 @@ def write_pattern(node: Pattern, names: Names) -> str:  # noqa: C901 - a case fo
         return f"{inner(node.first)} seq ({inner(node.repeated)} star_times)"
     if isinstance(node, Aggregate):
         kind = node.kind if node.value is None else f"{node.kind}{term(node.value)}"
+        if node.kind == "quantile" and node.value is not None:
+            kind = f"quantile(0.25,{write_term(node.value, names)})"
         repeated = write_pattern(node.repeated, names)
         if not isinstance(node.repeated, Leaf):
             repeated = f"({repeated})"
         return f"{inner(node.first)} seq aggregate({kind},{repeated},{write_term(node.result, names)})"
     if isinstance(node, Awaited):
-        return f"{inner(node.pattern)} seq absent({inner(node.absent)},{write_seconds(node.seconds)})"
+        seconds = names[node.seconds] if node.seconds.__class__ is Var else write_seconds(node.seconds)
+        return f"{inner(node.pattern)} seq absent({inner(node.absent)},{seconds})"
+    if isinstance(node, Preceded):
+        seconds = write_seconds(node.seconds)
+        return f"{inner(node.pattern)} with not_preceded({inner(node.absent)},{seconds})"
     if isinstance(node, Shaped):
         first = write_seconds(node.seconds) if node.seconds else write_term(compound(node.value)[1], names)
         key = "" if list_items(node.by) == [] else "," + write_term(node.by, names)
@@ -246,11 +259,13 @@ def write_pattern(node: Pattern, names: Names) -> str:  # noqa: C901 - a case fo
         else:
             window = WINDOWS[node.window].format(write_seconds(node.span), write_seconds(node.step))
         return f"aggregate([{kinds}],{inner(node.collected)},{write_term(node.results, names)},{window})"
+    if isinstance(node, Instant):
+        return f"{node.name}({write_pattern(node.pattern, names)})"
     if isinstance(node, Ntimes):
         return f"{inner(node.pattern)} ntimes {node.times}"
     if isinstance(node, Within):
         return f"{inner(node.pattern)} within {write_seconds(node.seconds)}"
-    if isinstance(node, (Cnot, Fnot)):
+    if isinstance(node, NEGATIONS):
         return f"{inner(node.pattern)} {type(node).__name__.lower()} {inner(node.absent)}"
     if isinstance(node, Sub):
         return f"{write_term(node.head, names)} <- {write_pattern(node.pattern, names)}"

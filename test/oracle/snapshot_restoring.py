@@ -7,7 +7,7 @@ import sys
 import time
 from typing import Any, Collection, List, Optional, Tuple
 
-from checked_access import stream_clock
+from asserting_accessors import stream_clock
 
 from retalis import Engine, Limits, RetalisError, Settings, StreamClock, UsageError
 from retalis.prolog.terms.timestamps import SECOND
@@ -40,11 +40,17 @@ def cut_difference(case: Case, places: Collection[int]) -> Optional[Tuple[Any, A
 
 
 def cut_case(
-    seed: int, depth: int, revision: bool = False, unsure: bool = False, streams: bool = False
+    seed: int,
+    depth: int,
+    revision: bool = False,
+    unsure: bool = False,
+    streams: bool = False,
+    instants: bool = False,
+    overlaps: bool = False,
 ) -> Tuple[Case, List[int]]:
     """Return a random case, and one or two places at which the engine is restored."""
     chance = random.Random(seed)
-    case = random_case(seed, depth, revision, unsure, streams)
+    case = random_case(seed, depth, revision, unsure, streams, instants, overlaps)
     return case, sorted(
         {chance.randrange(1, max(2, len(case.stream))) for _ in range(chance.choice((1, 1, 2)))}
     )
@@ -101,7 +107,15 @@ def compare(options: argparse.Namespace) -> int:
     """Compare cases; print those that differ, shrunk if they also differ when restored at every place."""
     begin, differing = time.time(), 0
     for seed in range(options.seed, options.seed + options.cases):
-        case, cuts = cut_case(seed, options.depth, options.revision, options.unsure, options.streams)
+        case, cuts = cut_case(
+            seed,
+            options.depth,
+            options.revision,
+            options.unsure,
+            options.streams,
+            options.instants,
+            options.overlaps,
+        )
         difference = cut_difference(case, cuts)
         if difference is None:
             continue

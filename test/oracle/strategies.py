@@ -9,8 +9,8 @@ from fractions import Fraction
 from random import Random
 from typing import Any, Callable, Dict, List, Optional, Sequence, Set, Tuple
 
-from checked_access import compound, name_of
-from events.operator_table import AGGREGATES, EITHER_ORDER
+from asserting_accessors import compound, name_of
+from events.operator_table import EITHER_ORDER, INSTANTS, VALUELESS_AGGREGATES
 from hypothesis import strategies as st
 
 from retalis import Term, Var, atom, functor, list_items, make_list
@@ -19,8 +19,9 @@ from retalis.prolog.terms.types import NIL
 
 from .evaluator import run
 from .goals import show
-from .matches import POLICIES
+from .matches import POLICIES, RESULTS
 from .patterns import (
+    NEGATIONS,
     STREAMED,
     WINDOWS,
     Aggregate,
@@ -30,11 +31,13 @@ from .patterns import (
     Cnot,
     Do,
     Fnot,
+    Instant,
     Leaf,
     Multiply,
     Ntimes,
     Or,
     Pattern,
+    Preceded,
     Prolog,
     Rule,
     Shaped,
@@ -43,12 +46,12 @@ from .patterns import (
     Where,
     Windowed,
     Within,
+    Without,
     pattern_variables,
     walk,
     with_own,
 )
 from .rule_notation import write_rule
-from .streams import RESULTS
 
 Choice = Callable[[Any], Any]
 Stream = List[Tuple[Term, int, int]]
@@ -149,7 +152,7 @@ def certain(node: Pattern) -> Set[Var]:
         kinds = [word.partition("@")[0] for word in node.kinds.split()]
         results = zip(kinds, list_items(node.results) or [])  # lists are not compared as numbers
         return {var for kind, term in results for var in variables(term) if kind not in ("list", "distinct")}
-    if isinstance(node, (Cnot, Fnot, Within, Ntimes, Shaped, Awaited)):
+    if isinstance(node, (*NEGATIONS, Within, Ntimes, Shaped, Awaited, Preceded, Instant)):
         return certain(node.pattern)
     if isinstance(node, Sub):
         return set(variables(node.head))
@@ -158,7 +161,7 @@ def certain(node: Pattern) -> Set[Var]:
 
 def bindable(node: Pattern) -> List[Var]:
     """Return the variables that some match of a pattern binds."""
-    if isinstance(node, (Cnot, Fnot, Awaited)):
+    if isinstance(node, (*NEGATIONS, Awaited, Preceded)):
         return bindable(node.pattern)
     return pattern_variables(node)
 
@@ -172,9 +175,19 @@ class Generator:
     """Generator of rules, streams and cases; ``choice`` makes all decisions."""
 
     def __init__(
-        self, choice: Choice, revision: bool = False, unsure: bool = False, streams: bool = False
+        self,
+        choice: Choice,
+        revision: bool = False,
+        unsure: bool = False,
+        streams: bool = False,
+        instants: bool = False,
+        overlaps: bool = False,
     ) -> None:
         self.choice = choice
+        self.overlaps = overlaps
+        """Draw ``without``, too."""
+        self.instants = instants
+        """Draw instants of matches, too."""
         self.streams = streams
         """Draw windows, rate operators and absences with a deadline, too."""
         self.unsure = unsure
@@ -223,12 +236,15 @@ class Generator:
             "aggregate",
             "forall_seq",
         ]
+        kinds += ["without", "without"] * (4 * self.overlaps)
         kinds += ["cnot", "fnot", "fnot", "where", "star", "aggregate"] * (3 * self.negating)
+        kinds += [*INSTANTS] * (8 * self.instants)
         if self.streams:  # the timestamps of deadlines are no numbers
             kinds = [kind for kind in kinds if kind != "check"]
         kinds += ["windowed", "windowed", "shaped", "shaped", "awaited", "awaited"] * (2 * self.streams)
+        kinds += ["preceded", "preceded"] * self.streams
         kind = self.choice([*kinds, "subpattern"])
-        if kind in ("windowed", "shaped", "awaited"):
+        if kind in ("windowed", "shaped", "awaited", "preceded"):
             return getattr(self, kind)(depth, left)
         if kind in ("seq", "forall_seq", *EITHER_ORDER):
             first = self.pattern(depth - 1, left)
@@ -249,17 +265,21 @@ class Generator:
                 return Do(below, self.goal(below, (), binds=True))
             return Multiply(below, self.several(below))
         below = self.pattern(depth - 1, left)
+        if kind in INSTANTS:
+            return Instant(below, kind)
         if kind == "within":
             if has_steps(below):
                 return below
             return Within(below, self.choice([1, 2, 3, 4, 6, Fraction(1, 2), Fraction(5, 2)]))
         if kind == "check":
             return Check(below, self.stamp_goal())
-        if kind in ("cnot", "fnot"):
+        if kind in ("cnot", "fnot", "without"):
+            if kind == "without" and self.chance(40):
+                below = Both(self.choice(["seq", "seq", "and"]), below, self.pattern(min(depth - 1, 1)))
             if kind == "cnot" and self.chance(60):
                 below = Both("seq", below, self.pattern(min(depth - 1, 1)))
             absent = self.absent(below, left, min(depth - 1, 2))
-            return Cnot(below, absent) if kind == "cnot" else Fnot(below, absent)
+            return {"cnot": Cnot, "fnot": Fnot, "without": Without}[kind](below, absent)
         goal = self.goal(below, left, binds=True)
         if kind == "prolog":
             return Prolog(below, goal, self.chance(30), self.choice(["prolog", "query", "db"]))
@@ -295,8 +315,8 @@ class Generator:
         if kind == "star":
             return Star(first, repeated)
         values = [var for var in variables_in_order(repeated) if var in certain(repeated)]
-        which = self.choice(list(AGGREGATES)) if values else "count"
-        value = self.choice(values) if which != "count" else None
+        which = self.choice([*RESULTS, "rate"] if values else ["count", "rate"])
+        value = self.choice(values) if which not in VALUELESS_AGGREGATES else None
         return Aggregate(first, which, value, repeated, self.choice([Var(), Var(), Var(), 2]))
 
     def windowed(self, depth: int, left: Tuple[Var, ...]) -> Pattern:
@@ -310,6 +330,8 @@ class Generator:
         window = self.choice(list(WINDOWS))
         span: Any = self.choice([1, 2, 3] if window in ("newest", "batch", "running_batch") else SPANS)
         step = self.choice([span, span, *SPANS])
+        if window == "bounded_session":
+            step += span
         if self.chance(25):
             steps = self.steps(bound)
             kinds = [
@@ -376,18 +398,27 @@ class Generator:
         bound = certain_in_order(below)
         by = make_list([self.choice(bound)] if bound and self.chance(50) else [])
         shape = self.choice(
-            ["throttle", "burst", "debounce", "change"] if bound else ["throttle", "burst", "debounce"]
+            ["throttle", "burst", "debounce", "change", "change_after_first"]
+            if bound
+            else ["throttle", "burst", "debounce"]
         )
-        if shape == "change":
+        if shape in ("change", "change_after_first"):
             return Shaped(below, shape, 0, make_list([self.choice(bound)]), by)
         return Shaped(below, shape, self.choice(SPANS), make_list([]), by)
 
     def awaited(self, depth: int, left: Tuple[Var, ...]) -> Pattern:
         """Draw a pattern and its absence with a deadline."""
         below = self.pattern(min(depth - 1, self.choice([0, 0, 1, 2])), left)
-        return Awaited(
-            below, self.absent(below, (), self.choice([0, 0, min(depth - 1, 1)])), self.choice(SPANS)
-        )
+        absent = self.absent(below, (), self.choice([0, 0, min(depth - 1, 1)]))
+        bound = bindable(below)
+        seconds = self.choice(bound) if bound and self.chance(40) else self.choice(SPANS)
+        return Awaited(below, absent, seconds)
+
+    def preceded(self, depth: int, left: Tuple[Var, ...]) -> Pattern:
+        """Draw a pattern and its absence before it."""
+        below = self.pattern(min(depth - 1, self.choice([0, 0, 1, 2])), left)
+        absent = self.absent(below, (), self.choice([0, 0, min(depth - 1, 1)]))
+        return Preceded(below, absent, self.choice(SPANS))
 
     def subpattern(self, depth: int) -> Sub:
         """Draw a named pattern."""
@@ -591,17 +622,30 @@ def drawn_cases(draw: Any, depth: int = 4, revision: bool = False) -> Case:
 
 
 def cases(
-    depth: int = 4, revision: bool = False, unsure: bool = False, streams: bool = False
+    depth: int = 4,
+    revision: bool = False,
+    unsure: bool = False,
+    streams: bool = False,
+    instants: bool = False,
+    overlaps: bool = False,
 ) -> st.SearchStrategy[Case]:
     """Programs with streams, drawn as the number of a case.
 
     Their rules fire more often than those drawn step by step; `comparison.shrink` makes them small.
     """
-    return st.integers(0, 10**9).map(lambda seed: random_case(seed, depth, revision, unsure, streams))
+    return st.integers(0, 10**9).map(
+        lambda seed: random_case(seed, depth, revision, unsure, streams, instants, overlaps)
+    )
 
 
 def random_case(
-    seed: int, depth: int = 4, revision: bool = False, unsure: bool = False, streams: bool = False
+    seed: int,
+    depth: int = 4,
+    revision: bool = False,
+    unsure: bool = False,
+    streams: bool = False,
+    instants: bool = False,
+    overlaps: bool = False,
 ) -> Case:
     """Return the case of a seed."""
-    return Generator(Random(seed).choice, revision, unsure, streams).case(depth)
+    return Generator(Random(seed).choice, revision, unsure, streams, instants, overlaps).case(depth)

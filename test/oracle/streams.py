@@ -9,14 +9,13 @@ from typing import Any, Callable, Dict, List, Optional, Sequence, Tuple
 
 from retalis import Term, Var, list_items, make_list
 from retalis.prolog.terms.term_traversal import variables
-from retalis.prolog.terms.types import NIL
 
-from .goals import Bindings, GoalError, instance, number, quotient, show, unbound, unify
-from .matches import Event, Match
-from .patterns import Aggregate, Awaited, Both, Pattern, Shaped, Star, Windowed, children
-from .repetition_runs import IdentifyingRepetitions
+from .goals import Bindings, GoalError, instance, number, show, unbound, unify
+from .matches import EMPTY_RESULTS, NUMERIC, RESULTS, Event, Match
+from .patterns import Aggregate, Awaited, Both, Pattern, Preceded, Shaped, Star, Windowed, children
 from .row_pattern_matches import steps_of, whole_matches
 from .rule_conditions import may_bind
+from .rule_runs import IdentifyingRepetitions
 
 
 @dataclass(eq=False)
@@ -36,6 +35,8 @@ class Element:
     """Whether a rate operator has emitted it."""
     is_over: bool = False
     """Whether its window has ended, or its wait."""
+    seconds: Any = None
+    """Seconds from its end to its deadline, for an absence."""
 
 
 class Streams(IdentifyingRepetitions):
@@ -62,6 +63,9 @@ class Streams(IdentifyingRepetitions):
         results: List[Match] = []
         if self.current_alarm is not None and self.current_alarm[0] == self.rank[node]:
             results += self._due_matches(node, self.current_alarm[1])
+        if isinstance(node, Preceded):
+            self.absences.setdefault(node, []).extend(self.arrive(node.absent, event))
+            return [p for p in self.arrive(node.pattern, event) if not self._is_preceded(node, p)]
         if isinstance(node, Awaited):
             for q in self.arrive(node.absent, event):
                 self.now_at(node)
@@ -92,10 +96,14 @@ class Streams(IdentifyingRepetitions):
 
     def _instants(self, node: Any) -> List[Any]:
         waiting = [element for element in self.elements[node] if not element.is_over]
-        if isinstance(node, Awaited) or (isinstance(node, Shaped) and node.shape == "debounce"):
+        if isinstance(node, Awaited):
+            return [element.match.end + element.seconds for element in waiting]
+        if isinstance(node, Shaped) and node.shape == "debounce":
             return [element.match.end + node.seconds for element in waiting]
         if isinstance(node, Windowed) and node.window in ("first", "running_first"):
             return [self.begins[node][element.key] + node.span for element in waiting]
+        if isinstance(node, Windowed) and node.window in ("session", "bounded_session"):
+            return [self._session_end(node, session) for session in self._sessions_of(node, waiting)]
         if isinstance(node, Windowed) and node.window == "every":
             return [
                 end
@@ -123,8 +131,12 @@ class Streams(IdentifyingRepetitions):
 
     def _store_pending(self, node: Awaited, p: Match) -> None:
         elements = self.elements.setdefault(node, [])
+        # Absence: a P whose N is not a positive number is dropped.
+        seconds = seconds_of(node, p)
+        if seconds is None:
+            return
         # Absence: a P that arrives after its deadline is too late.
-        if p.end + node.seconds <= self.now_at(node):
+        if p.end + seconds <= self.now_at(node):
             return
         if self.policy == "recent":
             # Absence: of two waiting variants that end less than N seconds apart, the later one replaces the other.
@@ -134,16 +146,31 @@ class Streams(IdentifyingRepetitions):
                 if not element.is_over and element.match.variant() == p.variant()
             ]
             for element in waiting:
-                element.is_over = element.match.end <= p.end < element.match.end + node.seconds
-            if any(p.end < element.match.end < p.end + node.seconds for element in waiting):
+                element.is_over = element.match.end <= p.end < element.match.end + element.seconds
+            if any(p.end < element.match.end < p.end + seconds for element in waiting):
                 return
-        elements.append(Element(p, None, [], self.now))
+        # Absence: if N is a variable, a Q that arrived before P counts if it started in the last ten seconds.
+        oldest = self.now_at(node) - 10
+        forgotten = [q for q in self.absences.get(node, []) if q.start <= oldest]
+        is_variable = node.seconds.__class__ is Var
+        elements.append(Element(p, None, forgotten if is_variable else [], self.now, seconds=seconds))
 
-    def _is_forbidden(self, node: Awaited, p: Match) -> bool:
+    def _is_forbidden(self, node: Awaited, element: Element) -> bool:
         """Absence: a Q with the same variables wholly between P's end and N seconds later."""
+        p = element.match
         return any(
-            p.end < q.start and q.end < p.end + node.seconds and self.agree(q, p.bindings)
+            p.end < q.start
+            and q.end < p.end + element.seconds
+            and q not in element.values
+            and self.agree(q, p.bindings)
             for q in self.absences.get(node, [])
+        )
+
+    def _is_preceded(self, node: Preceded, p: Match) -> bool:
+        """Rates, not_preceded: a Q with the same variables ended less than N seconds before P started."""
+        return any(
+            p.start - node.seconds < q.end < p.start and self.agree(q, p.bindings)
+            for q in self.absences[node]
         )
 
     # Shapes.
@@ -164,10 +191,10 @@ class Streams(IdentifyingRepetitions):
         elif node.shape == "burst":
             # no element does
             element.is_emitted = not any(other.match.end > newest - node.seconds for other in same)
-        elif node.shape == "change":
-            # the value differs from that of the last element
+        elif node.shape in ("change", "change_after_first"):
+            # the value differs from that of the last element, if there is one
             before = self._not_idle(node, [*same, element])[:-1]
-            element.is_emitted = not before or before[-1].values != value
+            element.is_emitted = before[-1].values != value if before else node.shape == "change"
         elif match.end + node.seconds <= self.now_at(node):
             element.is_over = True  # debounce: it arrives after its deadline
         else:
@@ -278,6 +305,50 @@ class Streams(IdentifyingRepetitions):
         elements.append(element)
         return []
 
+    @staticmethod
+    def _session_end(node: Windowed, session: List[Element]) -> Any:
+        """session(N, max(M)): it ends N seconds after its last end, or M seconds after its first one."""
+        end = session[-1].match.end + node.span
+        return end if node.window == "session" else min(end, session[0].match.end + node.step)
+
+    def _sessions_of(self, node: Windowed, waiting: List[Element]) -> List[List[Element]]:
+        """Sessions of open elements: in the order of their ends, each ends before the session of the previous one."""
+        sessions: List[List[Element]] = []
+        for key in dict.fromkeys(element.key for element in waiting):
+            of_key: List[List[Element]] = []
+            for element in sorted(
+                [other for other in waiting if other.key == key], key=lambda other: other.match.end
+            ):
+                if of_key and element.match.end < self._session_end(node, of_key[-1]):
+                    of_key[-1].append(element)
+                else:
+                    of_key.append([element])
+            sessions += of_key
+        return sessions
+
+    def _session(self, node: Windowed, elements: List[Element], element: Element, newest: Any) -> List[Match]:
+        """session(N): an element whose session has ended at its arrival is late."""
+        waiting = [other for other in elements if not other.is_over]
+        sessions = self._sessions_of(node, [*waiting, element])
+        (session,) = [session for session in sessions if element in session]
+        element.is_over = self._session_end(node, session) <= element.arrival
+        elements.append(element)
+        return []
+
+    def _end_sessions(self, node: Windowed, waiting: List[Element], instant: Any) -> List[Match]:
+        """Emit the sessions that end, in the order of their first elements; measures are in order of arrival."""
+        results: List[Match] = []
+        ended = [
+            session
+            for session in self._sessions_of(node, waiting)
+            if self._session_end(node, session) == instant
+        ]
+        for session in sorted(ended, key=lambda session: self.elements[node].index(session[0])):
+            for element in session:
+                element.is_over = True
+            results += self._window_match(node, sorted(session, key=self.elements[node].index))
+        return results
+
     def _steps(self, node: Windowed, elements: List[Element], element: Element, newest: Any) -> List[Match]:
         """Matches of the steps that an element decides; they end at its end at the earliest."""
         elements.append(element)
@@ -303,6 +374,8 @@ class Streams(IdentifyingRepetitions):
         "running_first": _from_first,
         "running": _running,
         "every": _every,
+        "session": _session,
+        "bounded_session": _session,
     }
 
     # Deadlines.
@@ -312,12 +385,15 @@ class Streams(IdentifyingRepetitions):
         if isinstance(node, Windowed):
             if node.window in ("first", "running_first"):
                 return self._close(node, instant)
+            if node.window in ("session", "bounded_session"):
+                return self._end_sessions(node, waiting, instant)
             return self._hop(node, waiting, instant)
         results: List[Any] = []
         for element in waiting:
-            if element.match.end + node.seconds == instant:
+            seconds = element.seconds if isinstance(node, Awaited) else node.seconds
+            if element.match.end + seconds == instant:
                 element.is_over = True
-                if isinstance(node, Shaped) or not self._is_forbidden(node, element.match):
+                if isinstance(node, Shaped) or not self._is_forbidden(node, element):
                     results.append(replace(element.match, end=instant, composed=True))
         return results
 
@@ -380,9 +456,16 @@ class Streams(IdentifyingRepetitions):
     @staticmethod
     def _result_of_kind(kind: str, node: Windowed, values: List[Any], inside: List[Element]) -> Any:
         if not inside:
-            return {"count": 0, "sum": 0, "count_distinct": 0, "list": NIL, "distinct": NIL}.get(kind)
+            return EMPTY_RESULTS.get(kind)
         if kind == "rate":
-            if node.window not in ("newest", "batch", "running_batch", "steps"):
+            if node.window not in (
+                "newest",
+                "batch",
+                "running_batch",
+                "steps",
+                "session",
+                "bounded_session",
+            ):
                 return len(values) / float(node.span)
             ends = [element.match.end for element in inside]
             return (len(values) - 1) / float(max(ends) - min(ends)) if max(ends) > min(ends) else None
@@ -418,55 +501,15 @@ class Streams(IdentifyingRepetitions):
         return values
 
 
+def seconds_of(node: Awaited, match: Match) -> Any:
+    """Return the seconds of an absence after a match; None if its variable has no positive number."""
+    value = instance(node.seconds, match.bindings) if node.seconds.__class__ is Var else node.seconds
+    return Fraction(value) if isinstance(value, (int, float, Fraction)) and value > 0 else None
+
+
 def patterns_from_below(node: Pattern) -> List[Pattern]:
     """Return a pattern and all below it: right sides precede left ones, and operands precede operators."""
     parted = children(node)
     if isinstance(node, (Both, Star, Aggregate)):
         parted.reverse()
     return [descendant for child in parted for descendant in patterns_from_below(child)] + [node]
-
-
-def quantile(part: Fraction, values: List[Any]) -> Any:
-    """Return a quantile, linear between two numbers."""
-    ordered = sorted(values)
-    place = part * (len(ordered) - 1)
-    low = ordered[int(place)]
-    if place == int(place):
-        return low
-    return low + (ordered[int(place) + 1] - low) * float(place - int(place))
-
-
-def deviation(values: List[Any]) -> Any:
-    """Return the standard deviation of a sample."""
-    if len(values) < 2:
-        return None
-    mean = Fraction(sum(map(Fraction, values))) / len(values)
-    spread = sum((Fraction(value) - mean) ** 2 for value in values) / (len(values) - 1)
-    return float(spread) ** 0.5
-
-
-def distinct_terms(values: List[Any]) -> List[Any]:
-    """Return the values without repeated terms, in their order."""
-    terms: Dict[str, Any] = {}
-    for value in values:
-        terms.setdefault(show(value), value)
-    return list(terms.values())
-
-
-NUMERIC = ("sum", "min", "max", "avg", "stddev", "median", "quantile")
-RESULTS: Dict[str, Callable[[List[Any]], Any]] = {
-    "count": len,
-    "sum": sum,
-    "min": min,
-    "max": max,
-    "avg": lambda values: quotient(sum(values), len(values)),
-    "stddev": deviation,
-    "median": lambda values: quantile(Fraction(1, 2), values),
-    "quantile": lambda values: quantile(Fraction(1, 4), values),
-    "first": lambda values: values[0],
-    "last": lambda values: values[-1],
-    "list": make_list,
-    "distinct": lambda values: make_list(distinct_terms(values)),
-    "count_distinct": lambda values: len(distinct_terms(values)),
-}
-"""Measures of a window that is not empty, over values in the order in which its elements entered it."""

@@ -22,7 +22,7 @@ from malicious_bags import (  # noqa: E402
     sqlite_bag,
     zstd,
 )
-from python_path import python_path
+from subprocess_python_path import python_path
 
 from retalis.playback.decompression import ChunkLimit, copy_up_to, read_up_to, unpack  # noqa: E402
 

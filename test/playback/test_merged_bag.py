@@ -8,7 +8,7 @@ from typing import Any, Dict, List, Tuple
 
 import numpy
 import pytest
-from checked_access import fail
+from asserting_accessors import fail
 from malicious_bags import packed_zeros, zstd
 from rosbags import rosbag1, rosbag2
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 from typing import Any, Dict, Iterator, List, Optional, Tuple
 
 import pytest
-from checked_access import fail
+from asserting_accessors import fail
 from logging_handlers import RecordingHandler
 from parsing import parse_term
 
@@ -472,6 +472,22 @@ def test_restored_program_keeps_subscribed_topics(program: Any, bag: Any) -> Non
         playback.engine.on_event(lambda event, start, end: events.append(to_text(event)))
         list(playback.run(reader))
     assert (problems, events) == ([], ["at_a(1.0)"])
+
+
+def test_interrupted_call_fails_when_restored_program_plays(program: Any, bag: Any) -> None:
+    path = bag((SECOND, "/in", "my_msgs/Point", "my_msgs__0__Point(1.0)"))
+    goals = "ros_service('/dock', 'std_srvs/Trigger', std_srvs__0__Trigger_Request, a)"
+    folder = program("", goals, IN)
+    events: List[Any] = []
+    with BagReader(path) as reader:
+        first = Playback(folder, fail, prepare=lambda engine: engine.on_service_call(lambda call: None))
+        playback = Playback(folder, fail, bag=reader, state=first.engine.snapshot())
+        playback.engine.on_event(lambda event, start, end: events.append(to_text(event)))
+        list(playback.run(reader))
+    assert events == [
+        "service_failed('/dock',a,'the program ended before the reply')",
+        "my_msgs__0__Point(1.0)",
+    ]
 
 
 def test_output_type_is_found_in_bag(program: Any, bag: Any) -> None:

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, Dict, Generator, List, Sequence, Tuple
 
 import pytest
-from checked_access import compound
+from asserting_accessors import compound
 from malicious_bags import record, ros1_bag
 from message_registries import empty_registry
 

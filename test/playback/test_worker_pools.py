@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import Any, Iterator, List
 
 import pytest
-from checked_access import fail
-from python_path import python_path
+from asserting_accessors import fail
 from source import ROOT
+from subprocess_python_path import python_path
 from worker_tasks import run_task, run_task_in_folder
 
 from retalis import UsageError

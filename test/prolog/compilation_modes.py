@@ -55,9 +55,11 @@ def fault(error: PrologError) -> str:
     return "error " + shown(term[1] if term.__class__ is tuple and term[0] is _ERROR else term)
 
 
-def answers(program: str, goal: str, compile_after: int, limit: int = 30) -> List[str]:
+def answers(
+    program: str, goal: str, compile_after: int, limit: int = 30, counts_uses: bool = False
+) -> List[str]:
     """Return the answers of two calls of a goal that is the body of a clause."""
-    logic = PrologSystem(compile_after=compile_after)
+    logic = PrologSystem(compile_after=compile_after, counts_uses=counts_uses)
     logic.output = logic.error_output = lambda text: None
     for clause in read_clauses(program, logic.operators, "program"):
         logic.load([(clause.term, clause.place)], lambda message, place: None)
@@ -82,6 +84,8 @@ def compare(program: str, goals: List[str]) -> Dict[str, Dict[str, List[str]]]:
     differing: Dict[Any, Any] = {}
     for goal in goals:
         results = {mode: answers(program, goal, compile_after) for mode, compile_after in MODES.items()}
+        # The clauses of the program count their uses, as for the coverage by tests.
+        results["counted"] = answers(program, goal, COMPILE_AFTER, counts_uses=True)
         if len({tuple(texts) for texts in results.values()}) > 1:
             differing[goal] = results
     return differing

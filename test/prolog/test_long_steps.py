@@ -4,7 +4,7 @@ import random
 from typing import Any, Iterator, List
 
 import pytest
-from checked_access import compound
+from asserting_accessors import compound
 from prolog.support import prolog
 
 from retalis import Limits, PrologError, String, Term, Var, atom, functor, make_list

@@ -1,5 +1,6 @@
 """Fixtures of the tests on ROS: ports, and a workspace with a master of its own."""
 
+import contextlib
 import os
 import shutil
 import signal
@@ -18,12 +19,10 @@ TIMEOUT_SECONDS = 120.0
 """Seconds after which a wait fails; only a busy machine needs most of them."""
 
 
-@pytest.fixture
-def port() -> Any:
-    """Return an unused port."""
+def find_unused_port() -> int:
     with socket.socket() as probe:
         probe.bind(("localhost", 0))
-        return probe.getsockname()[1]
+        return int(probe.getsockname()[1])
 
 
 def _restore_sigint() -> None:
@@ -34,8 +33,8 @@ def _restore_sigint() -> None:
 class Space:
     """A space of the workspace with the built package, and an own master."""
 
-    def __init__(self, script: Any, port: Any, logs: Any) -> None:
-        self.port = port
+    def __init__(self, script: Path, logs: Path) -> None:
+        self.port = port = find_unused_port()
         self.env = dict(
             os.environ,
             PATH="/usr/bin" + os.pathsep + os.environ["PATH"],
@@ -49,6 +48,10 @@ class Space:
         self.script = script
         self.logs = logs
         self.started: List[Any] = []
+
+    def executable(self, name: str) -> str:
+        """Return the path of an executable of the package; the search of `rosrun` takes most of a second."""
+        return str(self.script.parent / "lib" / "retalis" / name)
 
     def command(self, *words: Any) -> List[Any]:
         """Return the command for a shell that sources setup.bash."""
@@ -155,25 +158,42 @@ class Space:
         return [process.returncode for process in self.started]
 
 
-def make_space(name: str, port: Any, logs: Any) -> Space:
-    """Return a space that install.py has built."""
+@contextlib.contextmanager
+def open_space(name: str, logs: Path) -> Iterator[Space]:
+    """Return a space that install.py has built; end the processes that are started in it."""
     workspace = os.environ.get("RETALIS_WORKSPACE")
     if not workspace or not shutil.which("roslaunch"):
         pytest.skip("./install.py test builds the spaces")
-    return Space(Path(workspace) / name / "setup.bash", port, logs)
+    space = Space(Path(workspace) / name / "setup.bash", logs)
+    try:
+        yield space
+    finally:
+        space.close()
 
 
 @pytest.fixture(params=SPACES)
-def space(request: pytest.FixtureRequest, port: Any, tmp_path: Path) -> Iterator[Space]:
+def space(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Space]:
     """Return each of the spaces, one after the other."""
-    space = make_space(request.param, port, tmp_path)
-    yield space
-    space.close()
+    with open_space(request.param, tmp_path) as space:
+        yield space
 
 
 @pytest.fixture
-def devel(port: Any, tmp_path: Path) -> Iterator[Space]:
+def devel(tmp_path: Path) -> Iterator[Space]:
     """Return the devel space, for tests that do not differ between spaces."""
-    space = make_space("devel", port, tmp_path)
-    yield space
-    space.close()
+    with open_space("devel", tmp_path) as space:
+        yield space
+
+
+@pytest.fixture(scope="module", params=["devel", pytest.param("install", marks=pytest.mark.nightly)])
+def module_space(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Space]:
+    """Return each of the spaces, for the tests of a module."""
+    with open_space(request.param, tmp_path_factory.mktemp("space")) as space:
+        yield space
+
+
+@pytest.fixture(scope="module")
+def module_devel(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Space]:
+    """Return the devel space, for the tests of a module that share its nodes."""
+    with open_space("devel", tmp_path_factory.mktemp("space")) as space:
+        yield space

@@ -8,7 +8,7 @@ from types import SimpleNamespace
 from typing import Any, Dict, Iterator, List, Tuple
 
 import pytest
-from checked_access import fail
+from asserting_accessors import fail
 
 rospy = pytest.importorskip("rospy", reason="ROS is not installed")
 

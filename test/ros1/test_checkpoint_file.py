@@ -34,7 +34,7 @@ def node(devel: Any, program: Path, tmp_path: Path) -> Any:
     def start() -> Any:
         before = devel.printed().count(READY)
         words = (f"_program:={program}", f"_checkpoint:={tmp_path}/state.db", "_direct:=false")
-        process = devel.start("rosrun", "retalis", "retalis_node", *words)
+        process = devel.start(devel.executable("retalis_node"), *words)
         devel.expect(lambda nodes, services: devel.printed().count(READY) > before)
         devel.expect(lambda nodes, services: devel.pid("/retalis") is not None)
         return process

@@ -10,7 +10,7 @@ rospy = pytest.importorskip("rospy", reason="ROS is not installed")
 
 from retalis import Reports, RuleError  # noqa: E402
 from retalis.ros1 import late_peer_buffer  # noqa: E402
-from retalis.ros1.late_peer_buffer import ENGINE, INTERFACE, MAX_IDENTIFICATION_ATTEMPTS, LateJoinerBuffer  # noqa: E402
+from retalis.ros1.late_peer_buffer import ENGINE, INTERFACE, MAX_IDENTIFICATION_ATTEMPTS, LatePeerBuffer  # noqa: E402
 
 
 class Link:
@@ -53,7 +53,7 @@ def reports() -> Any:
 
 @pytest.fixture
 def make_buffer(topic_writer: Any, reports: Any) -> Any:
-    return lambda queue=100, epoch=lambda: 0: LateJoinerBuffer(topic_writer, ENGINE, queue, reports, epoch)
+    return lambda queue=100, epoch=lambda: 0: LatePeerBuffer(topic_writer, ENGINE, queue, reports, epoch)
 
 
 def test_texts_before_connection_are_buffered(topic_writer: Any, make_buffer: Any) -> None:
@@ -234,7 +234,7 @@ def test_unneeded_texts_count_as_no_loss(topic_writer: Any, make_buffer: Any, re
 
 
 def test_warning_names_peer(topic_writer: Any, reports: Any, caplog: pytest.LogCaptureFixture) -> None:
-    buffer = LateJoinerBuffer(topic_writer, INTERFACE, 1, reports)
+    buffer = LatePeerBuffer(topic_writer, INTERFACE, 1, reports)
     for _ in range(2):
         buffer.send(b"a", 1)
     assert [record.getMessage() for record in caplog.records] == [
@@ -285,7 +285,7 @@ def test_closed_connection_is_detected() -> None:
 
 
 def test_peer_gets_preamble_first(topic_writer: Any, reports: Any) -> None:
-    buffer = LateJoinerBuffer(topic_writer, ENGINE, 100, reports, lambda: 0, lambda: b"run ")
+    buffer = LatePeerBuffer(topic_writer, ENGINE, 100, reports, lambda: 0, lambda: b"run ")
     buffer.send(b"before", 1)
     node, other = topic_writer.connect(), topic_writer.connect()
     buffer.subscribers_to_identify()

@@ -16,6 +16,7 @@ def test_commands_print_output_of_page(devel: Any, tmp_path: Path) -> None:
     (tmp_path / "corner").mkdir()
     # A later version of a file replaces an earlier one, as for a reader.
     for name, text in FILE.findall((TUTORIALS / "robot-program.md").read_text(encoding="utf-8")):
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / name).write_text(text, encoding="utf-8")
     rules = tmp_path / "corner" / "eventRules.txt"
     rules.write_text(rules.read_text(encoding="utf-8").replace("within 10", "within 60"), encoding="utf-8")

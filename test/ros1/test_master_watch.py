@@ -75,10 +75,10 @@ def nodes(devel: Any, program: Path) -> Any:
 
     def start(configuration: Any) -> Master:
         arguments = (f"_program:={program}", *CONFIGURATIONS[configuration])
-        devel.start("rosrun", "retalis", "retalis_node", *arguments)
+        devel.start(devel.executable("retalis_node"), *arguments)
         if configuration != "embedded":
             name = "__name:=retalis_ros_interface"
-            devel.start("rosrun", "retalis", "retalis_ros_converter.py", name, *arguments)
+            devel.start(devel.executable("retalis_ros_converter.py"), name, *arguments)
         probe(devel, "before")
         return master
 

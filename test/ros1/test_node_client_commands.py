@@ -8,9 +8,7 @@ from typing import Any, List
 from xmlrpc.client import ServerProxy
 
 import pytest
-from checked_access import required
-
-LIVE = ("rosrun", "retalis", "retalis")
+from asserting_accessors import required
 
 
 def restore_sigint() -> None:
@@ -21,7 +19,7 @@ def restore_sigint() -> None:
 def start_node(space: Any) -> Any:
     """Start a master and node retalis in a space; return the space."""
     space.start_master()
-    space.start("rosrun", "retalis", "retalis_node", "_explain:=true")
+    space.start(space.executable("retalis_node"), "_explain:=true")
     space.expect(lambda nodes, services: "/retalis/delete_rule" in services)
     return space
 
@@ -31,10 +29,16 @@ def node(devel: Any) -> Any:
     return start_node(devel)
 
 
-@pytest.fixture
-def node_of_space(space: Any) -> Any:
+@pytest.fixture(scope="module")
+def shared_node(module_devel: Any) -> Any:
+    """Return node retalis for tests that do not change its program or its master."""
+    return start_node(module_devel)
+
+
+@pytest.fixture(scope="module")
+def node_of_space(module_space: Any) -> Any:
     """Return node retalis in each space, for commands that read files of the package."""
-    return start_node(space)
+    return start_node(module_space)
 
 
 def output(space: Any, *words: Any, text: Any = None) -> Any:
@@ -48,16 +52,16 @@ def error(space: Any, *words: Any) -> Any:
 
 
 def run_command(space: Any, words: Any, status: int, text: Any = None) -> Any:
-    command = space.command(*LIVE, *words)
+    command = space.command(space.executable("retalis"), *words)
     process = subprocess.run(command, env=space.env, input=text, capture_output=True, text=True, timeout=60)
     assert process.returncode == status, process.stderr
     return process
 
 
-def test_missing_master_or_node_is_an_error(space: Any) -> None:
-    assert "no master answers at http://localhost" in error(space, "query", "true")
-    space.start_master()
-    assert error(space, "query", "true") == "retalis: no node retalis runs\n"
+def test_missing_master_or_node_is_an_error(devel: Any) -> None:
+    assert "no master answers at http://localhost" in error(devel, "query", "true")
+    devel.start_master()
+    assert error(devel, "query", "true") == "retalis: no node retalis runs\n"
 
 
 def test_commands_print_answers_of_node(node_of_space: Any) -> None:
@@ -88,9 +92,7 @@ def test_commands_print_answers_of_node(node_of_space: Any) -> None:
 
 
 def test_interface_is_listed(node: Any) -> None:
-    node.start(
-        "rosrun", "retalis", "retalis_ros_converter.py", "__name:=retalis_ros_interface", "_direct:=false"
-    )
+    node.start(node.executable("retalis_ros_converter.py"), "__name:=retalis_ros_interface", "_direct:=false")
     node.expect(lambda nodes, services: "/retalis_ros_interface/list" in services)
     listed = json.loads(output(node, "list", "--json", "--node", "/retalis_ros_interface"))
     assert "/retalisOutputEvents" in [topic["topic"] for topic in listed["inputs"]]
@@ -111,7 +113,7 @@ def test_interface_is_listed(node: Any) -> None:
 def test_namespace_selects_node(devel: Any) -> None:
     devel.start_master()
     for space in ("robot1", "robot2", "robot2/arm"):
-        devel.start("env", f"ROS_NAMESPACE={space}", "rosrun", "retalis", "retalis_node")
+        devel.start("env", f"ROS_NAMESPACE={space}", devel.executable("retalis_node"))
     names = {"/robot1/retalis", "/robot2/retalis", "/robot2/arm/retalis"}
     devel.expect(lambda nodes, services: {f"{name}/delete_rule" for name in names} <= services)
     all_names = "/robot1/retalis, /robot2/arm/retalis, /robot2/retalis"
@@ -134,27 +136,28 @@ def test_namespace_selects_node(devel: Any) -> None:
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
-def test_ended_watch_leaves_no_subscription(node: Any, number: Any) -> None:
+def test_ended_watch_leaves_no_subscription(shared_node: Any, number: Any) -> None:
     watch = subprocess.Popen(
-        node.command(*LIVE, "watch", "--event", "fever_(_)"),
-        env=node.env,
+        shared_node.command(shared_node.executable("retalis"), "watch", "--event", "cold_(_)"),
+        env=shared_node.env,
         preexec_fn=lambda: signal.signal(number, signal.SIG_DFL),  # nohup ignores signals
     )
     try:
-        assert any("fever_" in output(node, "list") for _ in range(30))
+        assert any("cold_" in output(shared_node, "list") for _ in range(30))
         watch.send_signal(number)
         assert watch.wait(timeout=60) == 128 + number
     finally:
         watch.kill()
-    assert "fever_" not in output(node, "list")
-    assert "has no type" not in node.printed()
+    assert "cold_" not in output(shared_node, "list")
+    assert "has no type" not in shared_node.printed()
 
 
 def test_status_and_watch_survive_new_master(node: Any) -> None:
     words = {"env": node.env, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
     words["preexec_fn"] = restore_sigint
-    status = subprocess.Popen(node.command(*LIVE, "status", "--json", "--every", "0.1"), **words)
-    watch = subprocess.Popen(node.command(*LIVE, "watch", "--inputs", "--count", "1"), **words)
+    program = node.executable("retalis")
+    status = subprocess.Popen(node.command(program, "status", "--json", "--every", "0.1"), **words)
+    watch = subprocess.Popen(node.command(program, "watch", "--inputs", "--count", "1"), **words)
     try:
         required(status.stdout).readline()
         node.expect(lambda nodes, services: any(name.startswith("/retalis_watch") for name in nodes))
@@ -176,10 +179,10 @@ def test_status_and_watch_survive_new_master(node: Any) -> None:
 
 
 @pytest.mark.parametrize("command", [["watch"], ["status", "--json", "--every", "0.1"]])
-def test_messages_of_rospy_are_not_in_output(node: Any, command: List[str]) -> None:
+def test_messages_of_rospy_are_not_in_output(shared_node: Any, command: List[str]) -> None:
     running = subprocess.Popen(
-        node.command(*LIVE, *command),
-        env=node.env,
+        shared_node.command(shared_node.executable("retalis"), *command),
+        env=shared_node.env,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
@@ -187,9 +190,13 @@ def test_messages_of_rospy_are_not_in_output(node: Any, command: List[str]) -> N
     )
     try:
         prefix = f"/retalis_{command[0]}"
-        node.expect(lambda nodes, services: any(name.startswith(prefix) for name in nodes))
-        node_name = next(name for name in node.state()[0] if name.startswith(prefix))
-        master: Any = ServerProxy(node.env["ROS_MASTER_URI"])
+
+        def answering(nodes: Any) -> List[str]:
+            return [name for name in nodes if name.startswith(prefix) and shared_node.pid(name)]
+
+        shared_node.expect(lambda nodes, services: answering(nodes))
+        (node_name,) = answering(shared_node.state()[0])
+        master: Any = ServerProxy(shared_node.env["ROS_MASTER_URI"])
         address = master.lookupNode("/test", node_name)[2]
         ServerProxy(address).shutdown("/test", "for a test")  # rospy prints this request
         running.send_signal(signal.SIGINT)
@@ -200,17 +207,17 @@ def test_messages_of_rospy_are_not_in_output(node: Any, command: List[str]) -> N
     assert all(json.loads(line)["node"] == "/retalis" for line in output.splitlines())
 
 
-def test_events_are_watched(node: Any) -> None:
+def test_events_are_watched(shared_node: Any) -> None:
+    program = shared_node.executable("retalis")
     watch = subprocess.Popen(
-        node.command(*LIVE, "watch", "--event", "fever_(_)", "--count", "1"),
-        env=node.env,
+        shared_node.command(program, "watch", "--event", "fever_(_)", "--count", "1"),
+        env=shared_node.env,
         stdout=subprocess.PIPE,
         text=True,
     )
     try:
-        node.start(
-            *("rostopic", "pub", "-r", "5", "/retalisInputEvents", "std_msgs/String", "event(fever_('A b'))")
-        )
+        event = ("/retalisInputEvents", "std_msgs/String", "event(fever_('A b'))")
+        shared_node.start("rostopic", "pub", "-r", "5", *event)
         assert watch.communicate(timeout=60)[0] == "event: fever_('A b')\n"
     finally:
         watch.kill()

@@ -8,7 +8,7 @@ import urllib.request
 from typing import Any, Set
 
 import pytest
-from checked_access import required
+from asserting_accessors import required
 
 from retalis.dashboard.page_server import DASHBOARD_PORT
 
@@ -72,19 +72,19 @@ def test_no_port_is_opened_by_default(devel: Any) -> None:
     assert "the dashboard is at" not in devel.printed()
 
 
-def test_page_on_loopback_address_has_events(space: Any, free_port: Any) -> None:
-    launch(space, f"dashboard:={free_port}")
-    space.expect(
-        lambda nodes, services: f"the dashboard is at http://127.0.0.1:{free_port}/" in space.printed()
+def test_page_on_loopback_address_has_events(devel: Any, free_port: Any) -> None:
+    launch(devel, f"dashboard:={free_port}")
+    devel.expect(
+        lambda nodes, services: f"the dashboard is at http://127.0.0.1:{free_port}/" in devel.printed()
     )
-    assert ("0100007F", free_port) in listening_addresses(space.pid("/retalis"))
+    assert ("0100007F", free_port) in listening_addresses(devel.pid("/retalis"))
     for path in ("/", "/dashboard.js", "/graph.js", "/dashboard.css", "/icon.svg"):
         with open_page(free_port, path) as response:
             assert response.read()
     with open_page(free_port, "/stream") as stream:
         snapshot = next_snapshot(stream)
         assert (snapshot["title"], snapshot["queries"], snapshot["explains"]) == ("/retalis", False, False)
-        space.post_events("known_face(anna),[1,1]")
+        devel.post_events("known_face(anna),[1,1]")
         while not any(event["text"] == "known_face(anna)" for event in snapshot["events"]):
             snapshot = next_snapshot(stream)
         # The other node sends the numbers of publishers.

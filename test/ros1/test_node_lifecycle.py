@@ -12,7 +12,7 @@ from typing import Any, Iterator
 from xmlrpc.server import SimpleXMLRPCServer
 
 import pytest
-from checked_access import required
+from asserting_accessors import required
 
 NODES = ("retalis_node", "retalis_ros_converter.py")
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
@@ -39,7 +39,7 @@ def program(tmp_path: Path) -> Any:
 @pytest.fixture
 def node(devel: Any) -> Any:
     """Return a function that starts a node."""
-    return lambda name, *arguments: devel.start("rosrun", "retalis", name, *arguments)
+    return lambda name, *arguments: devel.start(devel.executable(name), *arguments)
 
 
 @pytest.fixture

@@ -7,7 +7,6 @@ from typing import Any
 
 import pytest
 
-LIVE = ("rosrun", "retalis", "retalis")
 RULES = "alarm(X) <- smoke(X) seq heat(X).\n"
 
 
@@ -26,7 +25,7 @@ def folder(tmp_path: Path) -> Path:
 def start(space: Any, folder: Any, *words: Any) -> None:
     """Start node retalis with a program, on a master of its own."""
     space.start_master()
-    space.start("rosrun", "retalis", "retalis_node", f"_program:={folder}", *words)
+    space.start(space.executable("retalis_node"), f"_program:={folder}", *words)
     space.expect(lambda nodes, services: "/retalis/reload" in services)
 
 
@@ -41,7 +40,7 @@ def error(space: Any, *words: Any) -> Any:
 
 
 def run_command(space: Any, words: Any, status: int) -> Any:
-    command = space.command(*LIVE, *words)
+    command = space.command(space.executable("retalis"), *words)
     process = subprocess.run(command, env=space.env, capture_output=True, text=True, timeout=60)
     assert process.returncode == status, process.stderr
     return process

@@ -27,6 +27,9 @@ LONG_RUNS = {
 }
 """Arguments of the long forms of rostests."""
 
+NIGHTLY_RUNS = ("latched_text", "port_attacks", "start_orders")
+"""Rostests that run nightly only: each push runs their like with one node, or its parts without ROS."""
+
 LONG_TIMEOUT_SECONDS = 4 * 3600
 
 
@@ -63,7 +66,13 @@ def run_rostest(
 
 @pytest.mark.slow
 @pytest.mark.skipif(not package_is_built(), reason="./install.py test builds the package")
-@pytest.mark.parametrize("path", [pytest.param(path, id=path.stem) for path in TESTS])
+@pytest.mark.parametrize(
+    "path",
+    [
+        pytest.param(path, id=path.stem, marks=pytest.mark.nightly if path.stem in NIGHTLY_RUNS else ())
+        for path in TESTS
+    ],
+)
 def test_rostest_succeeds(path: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     run_rostest(path, [], ROSTEST_TIMEOUT_SECONDS, tmp_path, monkeypatch)
 

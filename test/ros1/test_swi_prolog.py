@@ -37,7 +37,8 @@ def program(tmp_path: Path) -> Path:
 
 def start(space: Any, program: Any, *words: Any) -> Any:
     space.start_master()
-    return space.start("rosrun", "retalis", "retalis_node", f"_program:={program}", "_direct:=false", *words)
+    node = space.executable("retalis_node")
+    return space.start(node, f"_program:={program}", "_direct:=false", *words)
 
 
 def test_swi_predicates_are_goals_of_node(devel: Any, program: Path) -> None:

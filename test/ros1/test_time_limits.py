@@ -28,7 +28,7 @@ def start(devel: Any, tmp_path: Path) -> Any:
     devel.start_master()
 
     def start(*parameters: Any) -> None:
-        devel.start("rosrun", "retalis", "retalis_node", f"_program:={tmp_path}", *parameters)
+        devel.start(devel.executable("retalis_node"), f"_program:={tmp_path}", *parameters)
         devel.expect(lambda nodes, services: "/add_memory" in services)
 
     return start

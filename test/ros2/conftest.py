@@ -6,8 +6,10 @@ The tests are skipped where rclpy, or the generated classes of this package, are
 import os
 import socket
 from pathlib import Path
+from typing import Any, Callable, Iterator, List
 
 import pytest
+from ros2.node_processes import NodeProcess
 
 import retalis
 
@@ -46,3 +48,27 @@ def domain(monkeypatch: pytest.MonkeyPatch) -> int:
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     monkeypatch.setenv("ROS_LOCALHOST_ONLY", "1")  # Humble
     return unused
+
+
+@pytest.fixture
+def network(domain: int) -> Iterator[Any]:
+    """Return a network for the nodes of a test."""
+    from ros2.rclpy_nodes import Network  # noqa: PLC0415 - rclpy is optional
+
+    network = Network()
+    yield network
+    network.close()
+
+
+@pytest.fixture
+def start_node(domain: int, tmp_path: Path) -> Iterator[Callable[..., NodeProcess]]:
+    """Return a function that starts the installed node with arguments for ROS."""
+    started: List[NodeProcess] = []
+
+    def start(*arguments: str) -> NodeProcess:
+        started.append(NodeProcess(tmp_path / f"{len(started)}.log", *arguments))
+        return started[-1]
+
+    yield start
+    for node in started:
+        node.kill()

@@ -2,10 +2,11 @@
 
 import threading
 import time
-from typing import Any, Callable, List, Optional
+from typing import Any, Callable, List, Optional, Sequence
 
 import rclpy
 from rclpy.executors import SingleThreadedExecutor
+from rclpy.lifecycle import LifecycleNode
 from recording_reports import RecordingReports
 
 from retalis import Reports
@@ -33,6 +34,7 @@ class RecordingReceiver:
 
     Attributes:
         messages: the received messages.
+        received: instants of their reception in ns.
         lost: number of messages that the transport has lost.
         source: the source.
     """
@@ -42,6 +44,7 @@ class RecordingReceiver:
 
     def __init__(self) -> None:
         self.messages: List[bytes] = []
+        self.received: List[int] = []
         self.lost = 0
         self.source = MessageSource("")
 
@@ -50,9 +53,10 @@ class RecordingReceiver:
         self.source = source
         return self
 
-    def receive(self, messages: List[bytes]) -> None:
+    def receive(self, messages: List[bytes], received: Sequence[int] = ()) -> None:
         """Record messages."""
         self.messages += messages
+        self.received += received
 
     def convert(self, message: bytes) -> None:
         """Record a message."""
@@ -90,13 +94,31 @@ class Network:
         self._executor.add_node(node)
         return node
 
+    def add_lifecycle_node(self, name: str = "peer") -> Any:
+        """Return a node with a life cycle whose callbacks run in a thread."""
+        node = LifecycleNode(name, context=self.context)
+        self._nodes.append(node)
+        self._executor.add_node(node)
+        return node
+
+    def remove_node(self, node: Any) -> None:
+        """End a node that `add_node` has returned."""
+        self._executor.remove_node(node)
+        self._nodes.remove(node)
+        node.destroy_node()
+
     def add_transport(
-        self, name: str = "retalis", reports: Optional[Reports] = None, **parameters: Any
+        self,
+        name: str = "retalis",
+        reports: Optional[Reports] = None,
+        remappings: Sequence[str] = (),
+        **parameters: Any,
     ) -> RclpyTransport:
-        """Return the transport of a node with parameters."""
+        """Return the transport of a node with parameters and remappings of names."""
         overrides = [rclpy.Parameter(key, value=value) for key, value in parameters.items()]
         node = self._create_node(
             name,
+            cli_args=["--ros-args", *(argument for rule in remappings for argument in ("-r", rule))],
             parameter_overrides=overrides,
             allow_undeclared_parameters=True,
             automatically_declare_parameters_from_overrides=True,

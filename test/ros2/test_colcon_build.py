@@ -112,6 +112,49 @@ def check_index_of_ament(workspace: Path) -> None:
     assert not list(Path(share).rglob("*.launch"))
 
 
+ROBOT_FILES = {
+    "package.xml": """\
+<package format="3">
+  <name>robot</name><version>1.0.0</version><description>A program.</description>
+  <maintainer email="me@example.org">me</maintainer><license>MIT</license>
+  <buildtool_depend>ament_cmake</buildtool_depend><test_depend>retalis</test_depend>
+  <export><build_type>ament_cmake</build_type></export>
+</package>
+""",
+    "CMakeLists.txt": """\
+cmake_minimum_required(VERSION 3.18)
+project(robot NONE)
+find_package(ament_cmake REQUIRED)
+if(BUILD_TESTING)
+  find_package(retalis REQUIRED)
+  ament_add_retalis_test(tests)
+endif()
+ament_package()
+""",
+    "tests/heat.yaml": """\
+rules: hot <- heat(T) where T > 40.
+cases:
+  - {name: hot, input: [{at: 1, event: heat(41)}], expect: {events: [hot]}}
+  - {name: cold, input: [{at: 1, event: heat(39)}], expect: {events: [hot]}}
+""",
+}
+"""A package with test cases, of which one fails."""
+
+
+def check_that_result_command_lists_cases(workspace: Path) -> None:
+    for name, text in ROBOT_FILES.items():
+        path = workspace / "src" / "robot" / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text)
+    options = ("--packages-select", "robot")
+    script = (
+        'colcon build "$@" --cmake-args -GNinja -DBUILD_TESTING=ON > build.log 2>&1 || { cat build.log; exit 1; }\n'
+        'colcon test "$@" > test.log 2>&1\ncolcon test-result --verbose --test-result-base build/robot; true'
+    )
+    text = run_in_installation(workspace, "bash", "-c", script, "bash", *options)
+    assert ".xunit.xml: 2 tests, 0 errors, 1 failure, 0 skipped" in text
+
+
 def test_clean_copy_is_built_and_installed(tmp_path: Path) -> None:
     # One test, because parallel processes would each build the workspace.
     build_workspace(tmp_path)
@@ -119,3 +162,4 @@ def test_clean_copy_is_built_and_installed(tmp_path: Path) -> None:
     check_that_generated_classes_are_merged(tmp_path)
     check_types_of_times(tmp_path)
     check_index_of_ament(tmp_path)
+    check_that_result_command_lists_cases(tmp_path)

@@ -96,3 +96,65 @@ def test_module_without_installed_definition_is_not_imported(
 def test_name_of_ros1_means_type_of_ros2(prefix: Path) -> None:
     with pytest.raises(MessageError, match="tf2_msgs/TFMessage is not installed"):
         InstalledInterfaces().message_class("tf/tfMessage")
+
+
+# ---- services and actions ----------------------------------------------------------------------------
+
+
+def test_types_of_action_are_found(prefix: Path) -> None:
+    folder = prefix / "share" / "robot" / "action"
+    folder.mkdir(parents=True)
+    (folder / "Dock.action").write_text("---\n---\nfloat32 distance 1.0\nbuiltin_interfaces/Duration left\n")
+    definition = Definitions(InstalledInterfaces()).find("robot/Dock_FeedbackMessage")
+    feedback = definition.fields[1].definition
+    assert feedback is not None
+    assert [slot.describe() for slot in feedback.fields] == ["float32", "duration"]
+
+
+def test_service_without_events_is_named(
+    prefix: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """In ROS 2 Humble, services have no events."""
+    folder = prefix / "share" / "robot3" / "srv"
+    folder.mkdir(parents=True)
+    (folder / "Go.srv").write_text("---\n")
+    module = tmp_path / "modules" / "robot3" / "srv"
+    module.mkdir(parents=True)
+    (module.parent / "__init__.py").write_text("")
+    (module / "__init__.py").write_text("class Go:\n    Request = 'request'\n")
+    monkeypatch.syspath_prepend(str(tmp_path / "modules"))
+    assert InstalledInterfaces().message_class("robot3/Go_Request") == "request"
+    with pytest.raises(MessageError, match="robot3/Go_Event: services have events in ROS 2 Iron and later"):
+        InstalledInterfaces().message_class("robot3/Go_Event")
+
+
+@pytest.mark.parametrize(
+    ("type_name", "expected"),
+    [
+        ("Dock_Goal", "goal"),
+        ("Dock_FeedbackMessage", "feedback message"),
+        ("Dock_GetResult_Event", "event of the result"),
+        ("Dock_SendGoal_Request", "request"),
+    ],
+)
+def test_class_of_derived_type_is_found(
+    prefix: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, type_name: str, expected: str
+) -> None:
+    folder = prefix / "share" / "robot2" / "action"
+    folder.mkdir(parents=True)
+    (folder / "Dock.action").write_text("---\n---\n")
+    module = tmp_path / "modules" / "robot2" / "action"
+    module.mkdir(parents=True)
+    (module.parent / "__init__.py").write_text("")
+    (module / "__init__.py").write_text(
+        "class Dock:\n"
+        "    Goal = 'goal'\n"
+        "    class Impl:\n"
+        "        FeedbackMessage = 'feedback message'\n"
+        "        class SendGoalService:\n"
+        "            Request = 'request'\n"
+        "        class GetResultService:\n"
+        "            Event = 'event of the result'\n"
+    )
+    monkeypatch.syspath_prepend(str(tmp_path / "modules"))
+    assert InstalledInterfaces().message_class(f"robot2/{type_name}") == expected

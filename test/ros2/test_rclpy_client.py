@@ -12,6 +12,7 @@ import pytest
 pytest.importorskip("rclpy", reason="rclpy is not installed")
 pytest.importorskip("retalis.srv", reason="the classes of this package's services have not been generated")
 
+from rclpy.client import Client
 from ros2.rclpy_nodes import Network, wait_until
 from std_msgs.msg import String
 
@@ -125,8 +126,18 @@ def test_times_of_response_are_nanoseconds(network: Network, client: RclpyClient
     assert (response.memories[0].newest, response.memories[0].oldest) == (3 * 10**9 + 4, 0)
 
 
-def test_silent_service_is_an_error(network: Network, client: RclpyClient) -> None:
+def test_silent_service_is_an_error(
+    network: Network, client: RclpyClient, monkeypatch: pytest.MonkeyPatch
+) -> None:
     ended = threading.Event()
+    service_clients: List[Client] = []
+    call_async = Client.call_async
+
+    def record_call(service_client: Client, request: Any) -> Any:
+        service_clients.append(service_client)
+        return call_async(service_client, request)
+
+    monkeypatch.setattr(Client, "call_async", record_call)
 
     def wait(request: Any) -> Dict[str, Any]:
         ended.wait(60)
@@ -139,6 +150,8 @@ def test_silent_service_is_an_error(network: Network, client: RclpyClient) -> No
             UsageError, match="^service /retalis/query does not answer: no response within 0.1 s$"
         ):
             client.call("/retalis/query", "Query", {}, 0.1)
+        # rclpy has no public list of the requests that wait for a response.
+        assert [service_client._pending_requests for service_client in service_clients] == [{}]  # noqa: SLF001
     finally:
         ended.set()
 
@@ -232,8 +245,9 @@ def test_commands_ask_node(
     assert main(["list", "--json", "--node", "/retalis"]) == 0
     listed = json.loads(capsys.readouterr().out)
     assert listed["memories"][0]["id"] == "numbers"
-    assert list_names("nodes", None) == ["/retalis"]
-    assert list_names("memories", "retalis") == ["numbers"]
+    # Completion has little time, in which a busy machine does not discover the node.
+    wait_until(lambda: list_names("nodes", None) == ["/retalis"])
+    wait_until(lambda: list_names("memories", "retalis") == ["numbers"])
     # Which other nodes are known after this time depends on the machine.
     monkeypatch.setattr(rclpy_client, "DISCOVERY_SECONDS", 0.1)
     assert main(["query", "true", "--node", "other"]) == 1

@@ -1,8 +1,10 @@
 """rclpy as a transport: topics, time, services, parameters and the graph, with other nodes of rclpy."""
 
 import threading
+import time
+from functools import partial
 from types import SimpleNamespace
-from typing import AbstractSet, Any, Iterator, List, Optional
+from typing import AbstractSet, Any, Iterator, List, Optional, Sequence
 
 import pytest
 
@@ -10,8 +12,10 @@ pytest.importorskip("rclpy", reason="rclpy is not installed")
 pytest.importorskip("retalis.srv", reason="the classes of this package's services have not been generated")
 
 from rclpy.callback_groups import ReentrantCallbackGroup
-from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.parameter import Parameter
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy, qos_profile_services_default
 from rclpy.serialization import deserialize_message, serialize_message
+from rclpy.service_introspection import ServiceIntrospectionState
 from ros2.rclpy_nodes import Network, RecordingReceiver, wait_until
 from rosgraph_msgs.msg import Clock
 from std_msgs.msg import String
@@ -20,9 +24,11 @@ from retalis import Reports, UsageError
 from retalis.events.program.topic_configuration import QualityOfService
 from retalis.foundation.errors import MessageError
 from retalis.messages.type_registry import Definitions
-from retalis.node.transport import NodeGraph
-from retalis.ros2 import message_intake
-from retalis.ros2.rclpy_transport import RclpyTransport
+from retalis.node.subscribed_topics import list_endpoints
+from retalis.node.transport import MessageSource, NodeGraph
+from retalis.ros2 import message_intake, rclpy_transport, topic_subscription
+from retalis.ros2.rclpy_transport import RclpyTransport, RequestThreads
+from retalis.ros2.ros_clock import replace_clock_subscription
 from retalis.srv import Query
 
 SECOND = 10**9
@@ -47,6 +53,20 @@ def read_texts(messages: List[bytes]) -> List[str]:
 
 def subscribe(transport: Any, receiver: RecordingReceiver, **options: Any) -> Any:
     return transport.subscribe("/texts", "std_msgs/String", receiver.connect, 100, **options)
+
+
+def test_messages_have_time_of_reception(network: Network) -> None:
+    transport = network.add_transport()
+    receiver = RecordingReceiver()
+    subscribe(transport, receiver)
+    publisher = network.add_node().create_publisher(String, "texts", 10)
+    wait_until(publisher.get_subscription_count)
+    before = time.time_ns()
+    publisher.publish(String(data="a"))
+    wait_until(lambda: receiver.messages)
+    after = time.time_ns()
+    (received,) = receiver.received
+    assert before <= received <= after
 
 
 def find_graph(transport: RclpyTransport) -> NodeGraph:
@@ -115,7 +135,8 @@ def test_quality_follows_publisher_that_appears_later(network: Network) -> None:
     publisher = network.add_node().create_publisher(String, "texts", BEST_EFFORT)
     wait_until(publisher.get_subscription_count)
     publisher.publish(String(data="hello"))
-    wait_until(lambda: receiver.messages)
+    # The change is reported after the new subscription may receive messages.
+    wait_until(lambda: receiver.messages and network.reports.texts)
     assert network.reports.texts == [
         "topic /texts: read as best effort, volatile, before as reliable, volatile: "
         "published by /peer (best effort, volatile)"
@@ -222,8 +243,7 @@ def test_subscription_that_is_closed_after_change_of_quality_receives_nothing(ne
     transport, receiver = network.add_transport(), RecordingReceiver()
     subscription = subscribe(transport, receiver)
     publisher = network.add_node().create_publisher(String, "texts", BEST_EFFORT)
-    wait_until(publisher.get_subscription_count)
-    assert network.reports.texts
+    wait_until(lambda: publisher.get_subscription_count() and network.reports.texts)
     subscription.close()
     wait_until(lambda: not publisher.get_subscription_count())
     publisher.publish(String(data="late"))
@@ -248,7 +268,8 @@ def test_each_warning_is_logged(network: Network, caplog: pytest.LogCaptureFixtu
     for number in range(4):
         transport.subscribe(f"/t{number}", "std_msgs/String", RecordingReceiver().connect, 10)
     publishers = [node.create_publisher(String, f"t{number}", BEST_EFFORT) for number in range(4)]
-    wait_until(lambda: all(publisher.get_subscription_count() for publisher in publishers))
+    # A publisher finds the new subscription before the change is reported.
+    wait_until(lambda: len(caplog.records) == len(publishers))
     changed = [record.getMessage()[: len("topic /t0")] for record in caplog.records]
     assert sorted(changed) == ["topic /t0", "topic /t1", "topic /t2", "topic /t3"]
 
@@ -258,7 +279,7 @@ def test_lost_messages_are_counted(network: Network) -> None:
     is_released = threading.Event()
     record = receiver.receive
 
-    def receive_slowly(messages: List[bytes]) -> None:
+    def receive_slowly(messages: List[bytes], received: Sequence[int] = ()) -> None:
         record(messages)
         is_released.wait()
 
@@ -354,7 +375,41 @@ def test_topic_is_resolved(network: Network, name: str, full_name: str) -> None:
     assert network.add_transport().resolve_topic(name) == full_name
 
 
-@pytest.mark.parametrize("name", ["", "/", "two words", "a//b", "/1st", "ä"])
+@pytest.mark.parametrize(
+    ("remapping", "full_name"),
+    [
+        ("unused:=other", "/robot/dock/_service_event"),
+        ("dock:=station", "/robot/station/_service_event"),
+        ("rosservice://dock:=/base/dock", "/base/dock/_service_event"),
+        ("rostopic://dock:=other", "/robot/dock/_service_event"),
+        ("dock/_service_event:=recorded", "/robot/recorded"),
+    ],
+)
+def test_topic_of_service_follows_remapped_service(network: Network, remapping: str, full_name: str) -> None:
+    peer = network.add_node(cli_args=["--ros-args", "-r", "__ns:=/robot", "-r", remapping])
+    service = peer.create_service(Query, "dock", lambda request, response: response)
+    service.configure_introspection(
+        peer.get_clock(), qos_profile_services_default, ServiceIntrospectionState.METADATA
+    )
+    transport = network.add_transport(remappings=["__ns:=/robot", remapping])
+    assert transport.resolve_topic("dock/_service_event") == full_name
+    assert [name for name, _ in peer.get_topic_names_and_types() if name == full_name] == [full_name]
+
+
+@pytest.mark.parametrize(
+    ("remapping", "full_name"),
+    [
+        ("dock:=/base/dock", "/base/dock/_action/send_goal/_service_event"),
+        ("dock/_action/send_goal:=station/send_goal", "/robot/station/send_goal/_service_event"),
+    ],
+)
+def test_topic_of_action_follows_remapped_action(network: Network, remapping: str, full_name: str) -> None:
+    transport = network.add_transport(remappings=["__ns:=/robot", remapping])
+    (endpoint,) = list_endpoints(transport.resolve_topic("dock/goal"), "lab/Dock__goal", transport)
+    assert endpoint.topic == full_name
+
+
+@pytest.mark.parametrize("name", ["", "/", "two words", "a//b", "/1st", "ä", "1st/_service_event"])
 def test_invalid_topic_is_refused(network: Network, name: str) -> None:
     transport = network.add_transport()
     with pytest.raises(UsageError):
@@ -423,6 +478,52 @@ def test_waiting_request_does_not_block_others(network: Network) -> None:
     assert (waiting.result().result, other.result().result) == ("wait", "other")
 
 
+def test_name_of_source_is_that_of_present_publisher(
+    network: Network, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(topic_subscription, "CHECK_SECONDS", 0.02)
+    transport = network.add_transport()
+    sources: List[str] = []
+    receiver = RecordingReceiver()
+
+    def connect(source: MessageSource) -> RecordingReceiver:
+        sources.append(source.node)
+        return receiver
+
+    subscription = transport.subscribe("/texts", "std_msgs/String", connect, 100)
+    for name in ("first", "second"):
+        node = network.add_node(name)
+        publisher = node.create_publisher(String, "texts", 10)
+        wait_until(publisher.get_subscription_count)
+        # The change of publishers is noticed after a while.
+        wait_until(lambda: publisher.publish(String(data=name)) or f"/{name}" in sources)  # noqa: B023 - called at once
+        network.remove_node(node)
+        wait_until(lambda: not subscription.publisher_count())
+    assert [name for name in sources if name] == ["/first", "/second"]
+
+
+def test_requests_beyond_limit_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(rclpy_transport, "MAX_CONCURRENT_REQUESTS", 2)
+    monkeypatch.setattr(rclpy_transport, "MAX_WAITING_REQUESTS", 3)
+    threads = RequestThreads()
+    is_ended = threading.Event()
+    answers: List[int] = []
+
+    def answer(number: int) -> None:
+        is_ended.wait()
+        answers.append(number)
+
+    for number in range(5):
+        threads.submit(partial(answer, number))
+    with pytest.raises(UsageError, match="2 requests are running and 3 are waiting: send this one later"):
+        threads.submit(is_ended.wait)
+    is_ended.set()
+    wait_until(lambda: len(answers) == 5)
+    threads.submit(partial(answer, 5))
+    wait_until(lambda: 5 in answers)
+    threads.stop()
+
+
 # ---- parameters and graph
 
 
@@ -475,6 +576,32 @@ def find_nodes(transport: RclpyTransport) -> AbstractSet[str]:
 # ---- time
 
 
+def test_clock_is_subscribed_once(network: Network) -> None:
+    transport = network.add_transport(use_sim_time=True)
+    peer = network.add_node()
+    publisher = peer.create_publisher(Clock, "/clock", 10)
+    wait_until(publisher.get_subscription_count)
+    publisher.publish(make_clock(7))
+    wait_until(lambda: transport.now() == 7 * SECOND)
+    readers = peer.get_subscriptions_info_by_topic("/clock")
+    assert [reader.node_name for reader in readers] == ["retalis"]
+
+
+def test_time_of_node_is_set(network: Network) -> None:
+    parameter = Parameter("use_sim_time", value=True)
+    node = network.add_node("retalis", parameter_overrides=[parameter])
+    set_time = replace_clock_subscription(node)
+    assert set_time is not None
+    set_time(7 * SECOND)
+    assert node.get_clock().now().nanoseconds == 7 * SECOND
+
+
+def test_node_without_time_source_keeps_subscription(network: Network) -> None:
+    node = network.add_node("retalis")
+    clock = node.get_clock()
+    assert replace_clock_subscription(SimpleNamespace(get_clock=lambda: clock)) is None
+
+
 def make_clock(seconds: int) -> Clock:
     clock = Clock()
     clock.clock.sec = seconds
@@ -488,7 +615,7 @@ def test_simulated_time_follows_clock(network: Network) -> None:
     transport.on_clock(instants.append)
     assert transport.is_time_simulated
     assert transport.now() == 0
-    wait_until(lambda: publisher.get_subscription_count() >= 2)
+    wait_until(publisher.get_subscription_count)
     publisher.publish(make_clock(100))
     wait_until(lambda: transport.now() == 100 * SECOND)
     publisher.publish(make_clock(50))
@@ -499,7 +626,7 @@ def test_simulated_time_follows_clock(network: Network) -> None:
 def test_timer_follows_simulated_time(network: Network) -> None:
     publisher = network.add_node().create_publisher(Clock, "/clock", BEST_EFFORT)
     transport = network.add_transport(use_sim_time=True)
-    wait_until(lambda: publisher.get_subscription_count() >= 2)
+    wait_until(publisher.get_subscription_count)
     publisher.publish(make_clock(100))
     wait_until(transport.now)
     calls: List[int] = []

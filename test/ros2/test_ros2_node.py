@@ -1,20 +1,21 @@
 """The node as a user starts it: a process, with another node of rclpy that sees its topics and services."""
 
+import time
 from pathlib import Path
-from typing import Any, Callable, Iterator, List
+from typing import Any, List, Set
 
 import pytest
 
 pytest.importorskip("rclpy", reason="rclpy is not installed")
 pytest.importorskip("retalis.srv", reason="the classes of this package's services have not been generated")
 
+from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState, GetState
 from rcl_interfaces.msg import ParameterType
 from rcl_interfaces.srv import DescribeParameters, GetParameters, SetParameters
 from rclpy.parameter import Parameter
-from ros2.node_processes import NodeProcess
 from ros2.rclpy_nodes import TIMEOUT_SECONDS, Network, wait_until
 from std_msgs.msg import String
 
@@ -43,33 +44,26 @@ def program(tmp_path: Path) -> Path:
     return folder
 
 
-@pytest.fixture
-def network(domain: int) -> Iterator[Network]:
-    network = Network()
-    yield network
-    network.close()
-
-
-@pytest.fixture
-def start_node(domain: int, tmp_path: Path) -> Iterator[Callable[..., NodeProcess]]:
-    started: List[NodeProcess] = []
-
-    def start(*arguments: str) -> NodeProcess:
-        started.append(NodeProcess(tmp_path / f"{len(started)}.log", *arguments))
-        return started[-1]
-
-    yield start
-    for node in started:
-        node.kill()
+REPETITION_SECONDS = 10.0
+"""Seconds after which a request without response is repeated."""
 
 
 def call(node: Any, service_class: Any, name: str, **fields: Any) -> Any:
     """Return the response of a service."""
     client = node.create_client(service_class, name)
     assert client.wait_for_service(TIMEOUT_SECONDS)
-    future = client.call_async(service_class.Request(**fields))
-    wait_until(future.done)
-    return future.result()
+    # A response is lost if the node has not found its reader yet: then the request is repeated.
+    futures = []
+    next_time = time.monotonic()
+
+    def find_response() -> Any:
+        nonlocal next_time
+        if time.monotonic() >= next_time:
+            next_time = time.monotonic() + REPETITION_SECONDS
+            futures.append(client.call_async(service_class.Request(**fields)))
+        return [future for future in futures if future.done()]
+
+    return wait_until(find_response)[0].result()
 
 
 @pytest.mark.slow
@@ -113,22 +107,82 @@ def test_name_and_remapping_of_node_are_followed(network: Network, start_node: A
     assert node.interrupt() == 0
 
 
+def set_parameter(node: Any, name: str, value: Any) -> str:
+    """Set a parameter of node retalis; return the reason of a rejection, "" if it is changed."""
+    parameter = Parameter(name, value=value).to_parameter_msg()
+    (result,) = call(node, SetParameters, "/retalis/set_parameters", parameters=[parameter]).results
+    return "" if result.successful else str(result.reason)
+
+
 @pytest.mark.slow
-def test_parameters_are_described_and_read_only(network: Network, start_node: Any, program: Path) -> None:
+def test_changed_parameters_apply_to_running_program(
+    network: Network, start_node: Any, program: Path
+) -> None:
+    node = start_node("-p", f"program:={program}")
+    peer = network.add_node()
+    hardware_ids: Set[str] = set()
+    peer.create_subscription(
+        DiagnosticArray,
+        "/diagnostics",
+        lambda message: hardware_ids.update(status.hardware_id for status in message.status),
+        10,
+    )
+    goal = "between(1, 9000, X), X >= 9000"
+    assert call(peer, Query, "/retalis/query", goal=goal).result == "ok"
+    assert set_parameter(peer, "max_inferences", 5000) == ""
+    wait_until(lambda: "inferences" in call(peer, Query, "/retalis/query", goal=goal).result)
+    assert set_parameter(peer, "hardware_id", "robot7") == ""
+    assert set_parameter(peer, "diagnostics", 0.01) == ""
+    wait_until(lambda: "robot7" in hardware_ids)
+    assert node.interrupt() == 0
+    assert "Traceback" not in node.log()
+
+
+@pytest.mark.slow
+def test_rejected_change_of_parameter_has_reason(network: Network, start_node: Any, program: Path) -> None:
+    node = start_node("-p", f"program:={program}", "-p", "limit:=4")
+    peer = network.add_node()
+    # Goals may read it.
+    assert set_parameter(peer, "limit", 5) == ""
+    assert set_parameter(peer, "queue", 8) == (
+        "parameter ~queue: it cannot be changed, because buffers have the size of the start: start the node with it"
+    )
+    assert set_parameter(peer, "use_sim_time", True) == (
+        "parameter use_sim_time: it is read at the start: start the node with it"
+    )
+    assert set_parameter(peer, "max_second", 8) == (
+        "there is no parameter ~max_second; did you mean ~max_seconds?"
+    )
+    assert set_parameter(peer, "max_seconds", -1) == (
+        "parameter ~max_seconds (0 means no limit): expected a number from 0 to 1e+09, found -1"
+    )
+    assert set_parameter(peer, "max_seconds", None) == (
+        "parameter ~max_seconds: it cannot be deleted: set a value"
+    )
+    values = call(peer, GetParameters, "/retalis/get_parameters", names=["max_seconds", "use_sim_time"])
+    assert [value.type for value in values.values] == [
+        ParameterType.PARAMETER_NOT_SET,
+        ParameterType.PARAMETER_BOOL,
+    ]
+    assert node.interrupt() == 0
+
+
+@pytest.mark.slow
+def test_parameters_are_described(network: Network, start_node: Any, program: Path) -> None:
     node = start_node("-p", f"program:={program}", "-p", "queue:=7")
     peer = network.add_node()
     descriptions = call(peer, DescribeParameters, "/retalis/describe_parameters", names=["queue", "max_skew"])
-    assert [(each.description, each.read_only) for each in descriptions.descriptors] == [
-        (PARAMETER_DESCRIPTIONS[name], True) for name in ("queue", "max_skew")
+    assert [
+        (each.description, each.read_only, each.additional_constraints) for each in descriptions.descriptors
+    ] == [
+        (PARAMETER_DESCRIPTIONS["queue"], True, "buffers have the size of the start"),
+        (PARAMETER_DESCRIPTIONS["max_skew"], False, ""),
     ]
     values = call(peer, GetParameters, "/retalis/get_parameters", names=["queue", "max_skew"])
     assert [(value.type, value.integer_value) for value in values.values] == [
         (ParameterType.PARAMETER_INTEGER, 7),
         (ParameterType.PARAMETER_NOT_SET, 0),
     ]
-    parameter = Parameter("queue", value=8).to_parameter_msg()
-    (result,) = call(peer, SetParameters, "/retalis/set_parameters", parameters=[parameter]).results
-    assert not result.successful
     assert node.interrupt() == 0
 
 
@@ -198,6 +252,39 @@ def test_node_ends_while_query_waits(network: Network, start_node: Any, program:
     client.call_async(Query.Request(goal="true", wait_for=["header"], stamp=make_time(9), timeout=600.0))
     other = client.call_async(Query.Request(goal="true"))
     wait_until(other.done)
+    assert node.interrupt() == 0
+    assert "Traceback" not in node.log()
+
+
+GRAPH_TOPICS = """\
+<publish_subscribe>
+  <subscribe_to name="ros_graph" msg_type="retalis/GraphChange" event="graph"/>
+  <publish_to name="changes" msg_type="std_msgs/String"/>
+</publish_subscribe>
+"""
+GRAPH_RULES = """\
+std_msgs__0__String(Name) <-
+  graph(Kind, '"/slam"', Name, _) where (member(Kind, ['"state_changed"', '"parameter_changed"'])).
+"""
+
+
+@pytest.mark.slow
+def test_states_and_parameters_of_nodes_are_events(network: Network, start_node: Any, program: Path) -> None:
+    (program / "pub_sub.xml").write_text(GRAPH_TOPICS)
+    (program / "rules.txt").write_text(GRAPH_RULES)
+    (program / "goalPredicates.txt").write_text(
+        "compile_event_file('rules.txt')\nsubscribe(std_msgs__0__String(_), [], _, changes, c)\n"
+    )
+    names: List[str] = []
+    network.add_node().create_subscription(String, "changes", lambda message: names.append(message.data), 10)
+    slam = network.add_lifecycle_node("slam")
+    slam.declare_parameter("gain", 1)
+    node = start_node("-p", f"program:={program}")
+    wait_until(lambda: names == ["unconfigured"])
+    slam.set_parameters([Parameter("gain", value=2)])
+    wait_until(lambda: names[1:] == ["gain"])
+    slam.trigger_configure()
+    wait_until(lambda: names[-1] == "inactive")
     assert node.interrupt() == 0
     assert "Traceback" not in node.log()
 

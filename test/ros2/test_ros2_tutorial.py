@@ -40,9 +40,9 @@ def network(domain: int) -> Iterator[Network]:
 
 @pytest.fixture
 def node(domain: int, tmp_path: Path) -> Iterator[NodeProcess]:
-    (tmp_path / "corner").mkdir()
     # A later version of a file replaces an earlier one, as for a reader.
     for name, text in FILE.findall((TUTORIALS / "robot-program.md").read_text(encoding="utf-8")):
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / name).write_text(text, encoding="utf-8")
     rules = tmp_path / "corner" / "eventRules.txt"
     rules.write_text(rules.read_text(encoding="utf-8").replace("within 10", "within 60"), encoding="utf-8")

@@ -34,6 +34,7 @@ tumbling(X, N) <- aggregate(count, b(X, _), N, every(4)).
 current(N) <- aggregate(count, b(_, _), N, running(every(4))).
 anchored(M) <- aggregate(max(Y), b(_, Y), M, every(6, first)).
 hopping(N) <- aggregate(count, b(_, _), N, last(6, every(2))).
+paused(N) <- aggregate(count, b(_, _), N, session(3, max(9))).
 counted(N) <- aggregate(distinct(X), b(X, _), N, every(3, events)).
 risen(N) <- aggregate(count, b(_, Y), N, steps([up(2) where Y > 1, down where Y < 2])).
 throttled(X) <- (a(X) with throttle(5, X)).

@@ -4,7 +4,7 @@ import sys
 from typing import Any, Dict, List
 
 import pytest
-from serialization.stored_fields import fields_of, to_fields
+from serialization.field_dictionaries import fields_of, to_fields
 
 from retalis import Engine, StreamClock, UsageError, atom, functor, make_list
 from retalis.prolog.terms.timestamps import MAX_TIMESTAMP, SECOND, FloatSeconds, Stamp
@@ -258,8 +258,8 @@ def test_unknown_section_is_refused(state: Dict[str, bytes]) -> None:
     ("number", "problem"), [(5, "format 5, a pickle .* never read"), (7, "the state is of format 7")]
 )
 def test_other_format_is_refused(state: Dict[str, bytes], number: int, problem: str) -> None:
-    data = pack_sections(state).replace(b'"format": 11', b'"format":  %d' % number)
-    with pytest.raises(UsageError, match=f"{problem}: this version reads format 11"):
+    data = pack_sections(state).replace(b'"format": 13', b'"format":  %d' % number)
+    with pytest.raises(UsageError, match=f"{problem}: this version reads formats 11 to 13"):
         Engine.restore(data)
 
 

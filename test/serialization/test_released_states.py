@@ -4,8 +4,8 @@ import json
 from typing import Any, Dict, List
 
 import pytest
+from serialization.field_dictionaries import fields_of
 from serialization.released_states import FLAGS, FOLDER, continued_outputs, engine_with_state
-from serialization.stored_fields import fields_of
 
 from retalis import Engine, UsageError
 from retalis.serialization.codec import from_bytes, to_bytes
@@ -43,6 +43,10 @@ def test_state_of_release_is_restored(release: Any, flags: Any) -> None:
     assert continued_outputs(restored) == expected
 
 
+NEWER_RECORDS = {"NotPrecededFilter", "SessionWindow"}
+"""Records that are newer than the states of the last release; the states of the next release have them."""
+
+
 def test_states_of_release_have_all_records(monkeypatch: pytest.MonkeyPatch) -> None:
     checked, kinds = set(), set()
     check_state = StateFields.check_state
@@ -57,7 +61,7 @@ def test_states_of_release_have_all_records(monkeypatch: pytest.MonkeyPatch) -> 
         Engine.restore(data)
         kinds.update(fields_of(from_bytes(unpack_sections(data).sections["matches"]))["objects"][0])
     assert kinds >= set(KINDS)
-    assert {owner.STATE.record_name for owner in state_owners()} - checked == set()
+    assert {owner.STATE.record_name for owner in state_owners()} - checked == NEWER_RECORDS
 
 
 def describe_fields() -> List[str]:
@@ -141,6 +145,7 @@ def test_older_state_is_migrated(monkeypatch: pytest.MonkeyPatch, older_state: b
 
 
 def test_state_older_than_migrations_is_refused(monkeypatch: pytest.MonkeyPatch, older_state: bytes) -> None:
+    monkeypatch.delitem(MIGRATIONS, FORMAT_NUMBER - 2)
     monkeypatch.setitem(MIGRATIONS, FORMAT_NUMBER - 1, OLDER_FORMATS[FORMAT_NUMBER - 1])
     expected = (
         f"format {FORMAT_NUMBER - 2}: this version reads formats {FORMAT_NUMBER - 1} to {FORMAT_NUMBER}"

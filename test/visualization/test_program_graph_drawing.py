@@ -10,7 +10,7 @@ from xml.etree import ElementTree
 from xml.sax.saxutils import escape
 
 import pytest
-from checked_access import search
+from asserting_accessors import search
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -31,9 +31,11 @@ STRING = re.compile(r'"((?:[^"\\]|\\.)*)"', re.DOTALL)
 
 def test_text_has_nodes_edges_and_legend() -> None:
     engine = Engine()
-    engine.load(rules="far : quiet(X) <- (a(X) seq my_msgs__0__Level(_)) cnot b.")
+    engine.load(rules="far : quiet(X) <- (a(X) seq my_msgs__0__Level(_)) cnot b.", source="/p/far.txt")
     lines = dot_text(program_graph(engine), "mine").splitlines()
-    assert any('label="far\\nquiet(X) <- a(X) seq' in line and "shape=box" in line for line in lines)
+    assert any(
+        'label="far (far.txt:1)\\nquiet(X) <- a(X) seq' in line and "shape=box" in line for line in lines
+    )
     assert any('label="Level/1\\nmy_msgs"' in line for line in lines)
     assert sum("arrowhead=tee" in line for line in lines) == 1
     (legend,) = [line for line in lines if line.strip().startswith("legend [")]

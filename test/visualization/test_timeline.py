@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, List
 
 import pytest
-from checked_access import search
+from asserting_accessors import search
 from hypothesis import given, settings
 from hypothesis import strategies as st
 

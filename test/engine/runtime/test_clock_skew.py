@@ -20,6 +20,7 @@ from retalis.engine.runtime.clock_skew import (
 
 SECOND = 10**9
 HEADER = "\n" + "=" * 80 + "\nMSG: std_msgs/Header\nuint32 seq\ntime stamp\nstring frame_id\n"
+ARRAY = "Seen[] all\n" + "=" * 80 + "\nMSG: my_robot/Seen\nHeader header" + HEADER
 ROBOT = 1_300_000_000.0
 """Time of a bag in seconds, years before the present."""
 
@@ -33,6 +34,7 @@ class SimulatedTopics:
         self.skew = ClockSkewMonitor(self.reports, lambda: self.now, lambda: self.wall, **options)
         known = Definitions()
         self.decoder = known.decoder(known.add("my_robot/Seen", "Header header" + HEADER))
+        self.array_decoder = known.decoder(known.add("my_robot/SeenArray", ARRAY))
         self.watches: Dict[Any, Any] = {}
 
     def pass_time(self, wall: Any, now: Any = None) -> None:
@@ -50,6 +52,18 @@ class SimulatedTopics:
         try:
             watch.decode(data)
             assert watch.stamp(data) == (nanoseconds or None)
+        except RefusedMessage:
+            return False
+        return True
+
+    def send_array(self, stamp: float) -> bool:
+        """Return whether a message of twelve elements with equal stamps and frames is accepted."""
+        element = struct.pack("<IIII", 0, *divmod(round(stamp * SECOND), SECOND), 3) + b"map"
+        data = struct.pack("<I", 12) + 12 * element
+        watch = self.skew.watch(self.array_decoder, "/all")
+        try:
+            watch.decode(data)
+            watch.stamp(data)
         except RefusedMessage:
             return False
         return True
@@ -157,6 +171,15 @@ def test_agreeing_stamps_set_new_time(strict: SimulatedTopics, caplog: pytest.Lo
     assert accepted == [False] * (MIN_AGREEING_STAMPS - 1) + [True] * (31 - MIN_AGREEING_STAMPS)
     assert len(logged_messages(caplog)) == 2
     assert f"the last {MIN_AGREEING_STAMPS} stamps agree and are" in logged_messages(caplog)[1]
+
+
+def test_elements_of_one_message_set_no_new_time() -> None:
+    topics = SimulatedTopics(max_distance_seconds=10.0)
+    for second in range(5):
+        assert topics.send_array(ROBOT + second)
+        topics.pass_time(1)
+    accepted = [topics.send_array(ROBOT + 5000 + second) for second in range(MIN_AGREEING_STAMPS)]
+    assert accepted == [False] * (MIN_AGREEING_STAMPS - 1) + [True]
 
 
 def test_alternating_stamps_set_no_new_time(strict: SimulatedTopics) -> None:

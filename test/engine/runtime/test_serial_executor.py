@@ -6,7 +6,7 @@ from types import SimpleNamespace
 from typing import Any, Callable, Iterator, List, Tuple
 
 import pytest
-from checked_access import fail
+from asserting_accessors import fail
 from checked_threads import CheckedThread, wait_until
 
 from retalis import UsageError
@@ -157,6 +157,24 @@ def test_post_each_creates_separate_entries(way: str, busy: Any) -> None:
     assert entries == same
 
 
+@pytest.mark.parametrize("way", ["free", "busy", "inside"])
+def test_work_without_arguments_has_own_entry(way: str, busy: Any) -> None:
+    executor, _, _ = make()
+    entries: List[Any] = []
+
+    def post() -> None:
+        for _ in range(3):
+            executor.post(lambda: entries.append(executor.entry))
+
+    if way == "inside":
+        executor.post(post)
+    else:
+        end = busy(executor) if way == "busy" else lambda: None
+        post()
+        end()
+    assert len({id(entry) for entry in entries}) == 3
+
+
 def test_entry_is_none_while_iterator_advances() -> None:
     executor, _, _ = make()
     seen: List[Any] = []
@@ -251,6 +269,29 @@ def test_full_queue_drops_oldest_entries(monkeypatch: pytest.MonkeyPatch) -> Non
     worker.end()
     assert done == [2, 3]
     assert executor.dropped == 2
+
+
+def test_full_queue_keeps_work_in_order() -> None:
+    executor, drops, _ = make(size=2)
+    done: List[Any] = []
+
+    def post() -> None:
+        for number in range(4):
+            executor.post_kept(done.append, f"kept {number}")
+            executor.post(done.append, number)
+
+    executor.post(post)
+    assert [entry for entry in done if isinstance(entry, str)] == [f"kept {number}" for number in range(4)]
+    assert len(done) + executor.dropped == 8
+    assert drops
+
+
+def test_error_in_kept_work_is_reported() -> None:
+    executor, _, errors = make()
+    done: List[Any] = []
+    executor.post_kept(lambda: 1 / 0)
+    executor.post_kept(done.append, 1)
+    assert ([type(error) for error in errors], done) == ([ZeroDivisionError], [1])
 
 
 def test_full_queue_drops_nothing_while_it_progresses(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -457,7 +498,7 @@ def test_exception_while_error_is_handled_makes_executor_unusable() -> None:
             raise KeyboardInterrupt
 
     executor = SerialExecutor(10, fail, lambda error: None)
-    executor.add_recovery(Interrupted())
+    executor.set_recovery(Interrupted())
     with pytest.raises(KeyboardInterrupt):
         executor.call(end_with(ValueError()))
     with pytest.raises(UsageError, match="continue with a new engine"):
@@ -483,7 +524,7 @@ class RecordedRecovery(Recovery):
 def test_nested_call_restores_state_at_its_start(error: Exception, restored: List[int]) -> None:
     executor, _, errors = make()
     recovery = RecordedRecovery()
-    executor.add_recovery(recovery)
+    executor.set_recovery(recovery)
 
     def outermost() -> int:
         with pytest.raises(type(error)):
@@ -510,9 +551,9 @@ def test_timed_out_call_is_not_executed_later() -> None:
         done.append("waited")
 
     def work() -> None:
-        executor.running_callback = ("a callback",)
+        outer_callback = executor.begin_callback("a callback")
         wait()
-        executor.running_callback = None
+        executor.end_callback(outer_callback)
 
     executor.call(work)
     assert done == ["waited"]

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any, List, Optional, Tuple
 
 import pytest
-from checked_access import fail
+from asserting_accessors import fail
 
 from retalis import Engine, Limits, Settings, atom, functor
 from retalis.engine.runtime import watchdog as watchdog_module
@@ -178,7 +178,7 @@ def test_time_limit_covers_sum_of_short_goals(caplog: pytest.LogCaptureFixture) 
     ("rules", "goals", "named"),
     [
         ("out(X) <- in(X) where (X > 0, hold).", "", "rule out(X)"),
-        ("null_event do hold_(X) <- in(X).\nhold_(_) :- hold.", "", "rule null_event"),
+        ("null_event do hold_(X) <- in(X).\nhold_(_) :- hold.", "", "rule do hold_(X)"),
         ("", "subscribe(in(_), [hold], _, out, a)", "subscription a: goal hold"),
         ("", "memorize(in(_), [hold], _, m, 10)", "memory m: goal hold"),
         ("synchronized(x(X), hold, []) <- in(X).", "", "synchronized query: goal hold"),

@@ -22,7 +22,7 @@ def messages_of(check: Any, rules: str) -> List[Any]:
 
 def test_events_of_package_have_producer() -> None:
     patterns = [f"{key.name}({', '.join('_' * key.arity)})" for key in OWN_EVENTS]
-    assert len(patterns) == 4
+    assert len(patterns) == 7
     assert messages_of(find_unproduced_events, "\n".join(f"seen <- {pattern}." for pattern in patterns)) == []
     (message,) = messages_of(find_unproduced_events, "seen <- query_given_up(_, _).")
     assert (

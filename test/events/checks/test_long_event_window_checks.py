@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import Any, List
 
 import pytest
-from checked_access import place_of
+from asserting_accessors import place_of
 
 from retalis import Definitions, Engine
 from retalis.engine.program_check import check_program
@@ -39,13 +39,13 @@ def test_window_of_event_with_duration_is_reported(rules: str, cause: str) -> No
     (message,) = messages_of(f"{rules}\nn(N) <- aggregate(count, long, N, last(60)).")
     assert f"({cause})" in message
     assert message.startswith("last(60) selects its elements by their start")
-    assert "the rule null do new_event(long_end, [E, E]) <- long check t2(E)" in message
+    assert "to select by the end, measure at_end(long);" in message
 
 
 @pytest.mark.parametrize("pattern", ["(a seq b)", "(a seq absent(b, 5))", "((a or (b and c)) where true)"])
 def test_window_of_a_composed_pattern_is_reported(pattern: str) -> None:
     (message,) = messages_of(f"n(N) <- aggregate(count, {pattern}, N, last(60)).")
-    assert "write a rule for the pattern" in message
+    assert "write at_end(...) around what is measured" in message
 
 
 @pytest.mark.parametrize(
@@ -55,6 +55,9 @@ def test_window_of_a_composed_pattern_is_reported(pattern: str) -> None:
         "short <- a where true. n(N) <- aggregate(count, short, N, last(60)).",
         "short <- a equals b. n(N) <- aggregate(count, short, N, last(60)).",
         "short <- a cnot b. n(N) <- aggregate(count, short, N, last(60)).",
+        "long <- a seq b. n(N) <- aggregate(count, at_end(long), N, last(60)).",
+        "n(N) <- aggregate(count, at_start(a seq b), N, last(60)).",
+        "long <- a seq b. short <- at_end(long). n(N) <- aggregate(count, short, N, last(60)).",
         "long <- a seq b. n(N) <- aggregate(count, long, N, every(60)).",
         "long <- a seq b. n(N) <- aggregate(count, long, N, last(60, every(5))).",
         "long <- a seq b. n(N) <- aggregate(count, long, N, last(5, events)).",
@@ -76,7 +79,7 @@ def test_comment_suppresses_finding_of_window(tmp_path: Path) -> None:
         2,
         rule.index("last(2)") + 1,
     )
-    assert "the rule null do new_event(long_end(X), [E, E]) <- long(X) check t2(E)" in finding.problem.message
+    assert "to select by the end, measure at_end(long(X));" in finding.problem.message
     path.write_text(f"long(X) <- a(X) seq b(X).\n{rule} % retalis: ignore=RT1211\n")
     assert check_program(path, Definitions()) == []
 

@@ -1,7 +1,7 @@
 """Messages in rules, memories and subscriptions that do not fit their types."""
 
 from pathlib import Path
-from typing import Any, List, Tuple
+from typing import Any, List, Optional, Tuple
 
 import pytest
 
@@ -10,6 +10,7 @@ from retalis.engine.program_check import check_program
 from retalis.events.checks.message_checks import find_message_mismatches
 from retalis.events.checks.program_model import ProgramModel
 from retalis.events.program.topic_configuration import TopicEvent, Topics, topic_type
+from retalis.messages.type_registry import InstalledTypes
 
 HEADER = "uint32 seq\ntime stamp\nstring frame_id\n"
 WARM = f"Header header\nfloat64 warmth\n{'=' * 80}\nMSG: std_msgs/Header\n{HEADER}"
@@ -257,3 +258,54 @@ def test_letter_in_place_of_a_number_may_be_a_variable(
     (tmp_path / "rules.txt").write_text(rules)
     findings = check_program(tmp_path / "rules.txt", definitions)
     assert [finding.problem.message for finding in findings if finding.problem.code == "RT1105"] == [message]
+
+
+@pytest.mark.parametrize(
+    ("goal", "warning"),
+    [
+        (
+            "ros_service(arm, 'std_srvs/SetBool', std_srvs__0__SetBool_Request(up), X)",
+            "text:1:1: request of service arm: std_srvs/SetBool_Request, slot data: expected bool (true or false), "
+            "got the atom up [RT1103]",
+        ),
+        (
+            "ros_service(arm, 'std_srvs/srv/SetBool', lift, X, [timeout(1)])",
+            "text:1:1: request of service arm: std_srvs/SetBool_Request: expected std_srvs__0__SetBool_Request/1, "
+            "got the atom lift [RT1103]",
+        ),
+        (
+            "ros_service('/dock', 'std_srvs/Trigger', std_srvs__0__Trigger_Request, X)",
+            "text:1:1: goals may not call /dock [RT1112]",
+        ),
+        (
+            "ros_service(arm, 'arm_srvs/Mov', _, X)",
+            "text:1:1: there is no service type arm_srvs/Mov; did you mean arm_srvs/Move? [RT1101]",
+        ),
+        (
+            "ros_service(arm, 'std_srvs/Triger', std_srvs__0__Trigger_Request, X)",
+            "text:1:1: there is no service type std_srvs/Triger; did you mean std_srvs/Trigger? [RT1101]",
+        ),
+        ("ros_service(arm, 'std_srvs/SetBool', std_srvs__0__SetBool_Request(_), X)", None),
+        ("ros_service(arm, 'std_srvs/Trigger', std_srvs__0__Trigger_Request, X)", None),
+        ("ros_service(arm, 'no_srvs/Type', x, X)", None),
+    ],
+)
+def test_mistake_in_call_of_service_is_reported(tmp_path: Path, goal: str, warning: Optional[str]) -> None:
+    (tmp_path / "arm_srvs" / "srv").mkdir(parents=True)
+    (tmp_path / "arm_srvs" / "srv" / "Move.srv").write_text("---\n")
+    engine = Engine()
+    engine.load(f"go(X) do ({goal}).")
+    problems = engine.warnings(
+        tmp_path,
+        Definitions(InstalledTypes([str(tmp_path)], [], include_rosbags=False)),
+        find_refusal=lambda name: "" if name == "arm" else f"goals may not call {name}",
+    )
+    texts = [str(problem).partition("\n")[0] for problem in problems if "no producer" not in str(problem)]
+    assert texts == ([] if warning is None else [warning])
+
+
+@pytest.mark.parametrize("event", ["service_call", "service_reply", "service_failed"])
+def test_events_of_services_have_a_source(tmp_path: Path, event: str) -> None:
+    engine = Engine()
+    engine.load(f"x(R) <- {event}(_, R, _).")
+    assert not [problem for problem in engine.warnings(tmp_path, Definitions()) if "producer" in str(problem)]

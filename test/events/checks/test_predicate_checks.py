@@ -27,9 +27,18 @@ def test_file_that_is_not_read_is_reported(tmp_path: Path) -> None:
         f"{tmp_path}/eventRules.txt is not read: no goal in goalPredicates.txt calls "
         "compile_event_file('eventRules.txt')"
     ]
-    (tmp_path / "goalPredicates.txt").write_text("compile_event_file('eventRules.txt')")
+    (tmp_path / "goalPredicates.txt").write_text("% compile_event_file('eventRules.txt')\n")
+    engine.load_program(tmp_path)
+    assert len(unread_files(engine, tmp_path)) == 1
+    for condition in ("", "fail -> true ; "):
+        (tmp_path / "goalPredicates.txt").write_text(f"({condition}compile_event_file('eventRules.txt'))")
+        engine.load_program(tmp_path)
+        assert unread_files(engine, tmp_path) == []
+    (tmp_path / "goalPredicates.txt").write_text('(fail -> compile_event_file("eventRules.txt") ; true)')
+    engine = Engine()
     engine.load_program(tmp_path)
     assert unread_files(engine, tmp_path) == []
+    (tmp_path / "goalPredicates.txt").write_text("compile_event_file('eventRules.txt')")
     (tmp_path / "eventRules.txt").write_text("a <- .")
     engine = Engine()
     with pytest.raises(ProgramErrors):

@@ -5,31 +5,13 @@ from pathlib import Path
 from typing import Any, Iterator
 
 import pytest
+from events.checks.program_with_mistakes import write_program
 from source import ROOT
 
 from retalis import Definitions
 from retalis.engine.program_check import check_program
 
 TABLE = ROOT / "test" / "data" / "mistakes.txt"
-
-TOPICS = """\
-<publish_subscribe>
-  <subscribe_to name="heat" msg_type="sensor_msgs/Temperature"/>
-  <subscribe_to name="bumper" msg_type="std_msgs/Bool"/>
-  <subscribe_to name="said" msg_type="std_msgs/String"/>
-  <publish_to name="alarms" msg_type="std_msgs/String"/>
-"""
-
-GOALS = """\
-compile_event_file('eventRules.txt')
-memorize(hit, [], _, hits, 10)
-subscribe(alarm(Text), [], std_msgs__0__String(Text), alarms, a)
-"""
-
-RULES = """\
-hit <- std_msgs__0__Bool(true).
-alarm('"hit"') <- hit where access_mem(hits, _, _).
-"""
 
 
 def mistakes() -> Iterator[Any]:
@@ -45,13 +27,6 @@ def mistakes() -> Iterator[Any]:
         yield pytest.param({part: "\n".join(lines) for part, lines in lines_by_part.items()}, id=name)
 
 
-def write(folder: Path, rule: str = "", goal: str = "", topic: str = "", said: str = "") -> None:
-    """Write a program that has additions."""
-    (folder / "pub_sub.xml").write_text(f"{TOPICS}{topic}\n</publish_subscribe>\n")
-    (folder / "goalPredicates.txt").write_text(f"{GOALS}{goal}\n")
-    (folder / "eventRules.txt").write_text(f"{RULES}{rule}\n")
-
-
 def findings_text(folder: Path, definitions: Any) -> str:
     findings = check_program(folder, definitions)
     text = "\n".join(f"{finding.severity}: {finding.problem}" for finding in findings)
@@ -62,7 +37,7 @@ def findings_text(folder: Path, definitions: Any) -> str:
 def test_mistake_has_one_finding_with_position(
     tmp_path: Path, definitions: Definitions, mistake: Any
 ) -> None:
-    write(tmp_path, **mistake)
+    write_program(tmp_path, **mistake)
     assert findings_text(tmp_path, definitions) == mistake["said"]
 
 
@@ -71,13 +46,13 @@ def test_table_has_thirty_mistakes() -> None:
 
 
 def test_program_without_mistakes_has_no_findings(tmp_path: Path, definitions: Definitions) -> None:
-    write(tmp_path)
+    write_program(tmp_path)
     assert findings_text(tmp_path, definitions) == ""
 
 
 def test_timestamp_is_number_of_arithmetic(tmp_path: Path, definitions: Definitions) -> None:
     header = "sensor_msgs__0__Temperature(std_msgs__0__Header(_, T, _), _, _)"
-    write(tmp_path, rule=f"hit <- {header} check (t2(E), E - T > 0.5).")
+    write_program(tmp_path, rule=f"hit <- {header} check (t2(E), E - T > 0.5).")
     assert findings_text(tmp_path, definitions) == ""
 
 
@@ -91,7 +66,7 @@ def test_timestamp_is_number_of_arithmetic(tmp_path: Path, definitions: Definiti
     ],
 )
 def test_converted_values_are_not_reported(tmp_path: Path, definitions: Definitions, rule: str) -> None:
-    write(tmp_path, rule=rule)
+    write_program(tmp_path, rule=rule)
     assert [
         finding.problem for finding in check_program(tmp_path, definitions) if finding.check == "kinds"
     ] == []

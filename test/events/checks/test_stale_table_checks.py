@@ -5,7 +5,7 @@ from typing import Any, List
 
 import pytest
 
-from retalis import Definitions
+from retalis import Definitions, Engine
 from retalis.engine.program_check import check_program
 
 MEMORY = "memorize(pos(P), [], pos(P), pos, 5)\n"
@@ -35,7 +35,7 @@ def stale_table_messages(folder: Any, rules: Any) -> Any:
 
 READS_POS = "t(P) :- prev(pos, pos(P), _, _, [1000,0]).\n"
 ADVICE = "and keeps its answers when that changes: write :- table t/1 as incremental"
-OPAQUE = "; where it is meant so, :- table t/1 as opaque"
+OPAQUE = "; if this is intended, write :- table t/1 as opaque"
 
 
 @pytest.mark.parametrize(
@@ -130,3 +130,19 @@ def test_options_of_declaration_hide_no_mistake(tmp_path: Path) -> None:
     rules = ":- dynamic q/1 as incremental.\n:- table t/1 as incremental.\nt(X) :- q(X), nothing_there(X).\n"
     messages = messages_of_check(tmp_path, rules, "undefined")
     assert [text.split(":")[0] for text in messages] == ["there is no predicate nothing_there/1"]
+
+
+def test_warnings_have_order_of_declarations(tmp_path: Path) -> None:
+    names = [f"t{number}" for number in range(8)]
+    tables = "".join(f":- table {name}/1 as incremental.\n{name}(X) :- q(X).\n" for name in names)
+    (tmp_path / "goalPredicates.txt").write_text("compile_event_file('rules.txt')\n")
+    (tmp_path / "rules.txt").write_text(
+        f":- dynamic q/1.\n{tables}learn(P) :- assertz(q(P)).\nnull do learn(P) <- note(P).\n"
+    )
+    engine = Engine()
+    engine.load_program(tmp_path)
+    # The command sorts its findings by their places; the log of a node has the order of the check.
+    texts = [warning.message.partition(" reads")[0] for warning in engine.warnings(tmp_path, Definitions())]
+    assert [text for text in texts if text.startswith("incremental")] == [
+        f"incremental table {name}/1" for name in names
+    ]

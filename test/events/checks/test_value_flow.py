@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any, List
 
 import pytest
-from checked_access import required, stream_clock
+from asserting_accessors import required, stream_clock
 from doc_pages import ROOT
 
 from retalis import Definitions, Engine
@@ -79,47 +79,79 @@ def test_constant_of_no_event_is_reported_with_advice(
 
 
 @pytest.mark.parametrize(
-    "rules",
+    ("rules", "value"),
     [
         # Heads, through chains and alternatives.
-        TEXT + "b(X) <- text(X). c(X) <- b(X) where true. d <- c(anna).",
-        TEXT + "c(X) <- text(X) or std_msgs__0__String(X). d <- c(anna).",
-        TEXT + "c(X) <- text(X) seq absent(stop, 5). d <- c(anna).",
-        TEXT + "c(X) <- (go seq text(X)) cnot stop. d <- c(anna).",
-        TEXT + "exceptionAlarm(c(X), 5) <- text(X). d <- c(anna).",
-        TEXT + "c(X) <- text(X) with throttle(5). d <- c(anna).",
-        TEXT + "d <- go seq absent(text(anna), 5).",
-        TEXT + "c(X) <- text(Y) where X = Y. d <- c(anna).",
+        (TEXT + "b(X) <- text(X). c(X) <- b(X) where true. d <- c(anna).", "argument 1 of c/1 is a text"),
+        (TEXT + "c(X) <- text(X) or std_msgs__0__String(X). d <- c(anna).", "argument 1 of c/1 is a text"),
+        (TEXT + "c(X) <- text(X) seq absent(stop, 5). d <- c(anna).", "argument 1 of c/1 is a text"),
+        (TEXT + "c(X) <- (go seq text(X)) cnot stop. d <- c(anna).", "argument 1 of c/1 is a text"),
+        (TEXT + "exceptionAlarm(c(X), 5) <- text(X). d <- c(anna).", "argument 1 of c/1 is a text"),
+        (TEXT + "c(X) <- text(X) with throttle(5). d <- c(anna).", "argument 1 of c/1 is a text"),
+        (TEXT + "d <- go seq absent(text(anna), 5).", "argument 1 of text/1 is a text"),
+        (TEXT + "c(X) <- text(Y) where X = Y. d <- c(anna).", "argument 1 of c/1 is a text"),
         # Aggregates, windows and row patterns.
-        TEXT + "c(X) <- aggregate(last(V), text(V), X, last(5)). d <- c(anna).",
-        TEXT + "c(X) <- aggregate([count, first(V)], text(V), [_, X], every(5)). d <- c(anna).",
-        TEXT + "c(X, N) <- aggregate(count, text(X), N, last(5)). d <- c(anna, _).",
-        "c(N) <- aggregate(count, text(_), N, last(5)). d <- c(many).",
-        "c(N) <- go seq aggregate(count, text(_), N). d <- c(many).",
-        NUMBER + "c(A) <- aggregate(avg(V), level(V), A, last(5)). d <- c(high).",
-        NUMBER + "c(L) <- aggregate(list(V), level(V), L, last(5)). d <- c(high).",
-        TEXT + "c(X) <- aggregate(last(V), text(V), X, steps([one, two])). d <- c(anna).",
+        (
+            TEXT + "c(X) <- aggregate(last(V), text(V), X, last(5)). d <- c(anna).",
+            "argument 1 of c/1 is a text",
+        ),
+        (
+            TEXT + "c(X) <- aggregate([count, first(V)], text(V), [_, X], every(5)). d <- c(anna).",
+            "argument 1 of c/1 is a text",
+        ),
+        (
+            TEXT + "c(X, N) <- aggregate(count, text(X), N, last(5)). d <- c(anna, _).",
+            "argument 1 of c/2 is a text",
+        ),
+        ("c(N) <- aggregate(count, text(_), N, last(5)). d <- c(many).", "argument 1 of c/1 is a number"),
+        ("c(N) <- go seq aggregate(count, text(_), N). d <- c(many).", "argument 1 of c/1 is a number"),
+        (
+            NUMBER + "c(A) <- aggregate(avg(V), level(V), A, last(5)). d <- c(high).",
+            "argument 1 of c/1 is a number",
+        ),
+        (
+            NUMBER + "c(L) <- aggregate(list(V), level(V), L, last(5)). d <- c(high).",
+            "argument 1 of c/1 is a list",
+        ),
+        (
+            TEXT + "c(X) <- aggregate(last(V), text(V), X, steps([one, two])). d <- c(anna).",
+            "argument 1 of c/1 is a text",
+        ),
         # States, and the goals that emit events.
-        TEXT + ":- state(on(X), from(text(X)), until(off)). d <- on(anna).",
-        TEXT + "null do new_event(c(X), 1, 2) <- text(X). d <- c(anna).",
-        TEXT
-        + "null do send(X) <- text(X). send(X) :- room(X), new_event(c(X), 1, 2). room('\"a\"'). d <- c(anna).",
+        (TEXT + ":- state(on(X), from(text(X)), until(off)). d <- on(anna).", "argument 1 of on/1 is a text"),
+        (TEXT + "null do new_event(c(X), 1, 2) <- text(X). d <- c(anna).", "argument 1 of c/1 is a text"),
+        (
+            TEXT
+            + "null do send(X) <- text(X). send(X) :- room(X), new_event(c(X), 1, 2). room('\"a\"'). d <- c(anna).",
+            "argument 1 of c/1 is a text",
+        ),
         # Results of goals, memories and predicates.
-        NUMBER + "c(Y) <- level(X) where Y is X * 2. d <- c(high).",
-        "c(X) <- go where room(X). room('\"hall\"'). d <- c(anna).",
-        TEXT + ":- memorize(text(X), [], o(X), m, 5). c(X) <- go where prev(m, o(X), 1, _, _). d <- c(anna).",
-        TEXT + ":- memorize(text(X), [], X, m, 5). c(X) <- go where access_mem(m, X, _). d <- c(anna).",
-        TEXT
-        + ":- memorize(text(X), [], o(X), m, 5). synchronized(c(X), access_mem(m, o(X), _), [[m, 1]]) <- go. "
-        "d <- c(anna).",
-        ":- declare_event(reading(celsius:float)). c(X) <- reading(X). d <- c(high).",
+        (NUMBER + "c(Y) <- level(X) where Y is X * 2. d <- c(high).", "argument 1 of c/1 is a number"),
+        ("c(X) <- go where room(X). room('\"hall\"'). d <- c(anna).", "argument 1 of c/1 is a text"),
+        (
+            TEXT
+            + ":- memorize(text(X), [], o(X), m, 5). c(X) <- go where prev(m, o(X), 1, _, _). d <- c(anna).",
+            "argument 1 of c/1 is a text",
+        ),
+        (
+            TEXT + ":- memorize(text(X), [], X, m, 5). c(X) <- go where access_mem(m, X, _). d <- c(anna).",
+            "argument 1 of c/1 is a text",
+        ),
+        (
+            TEXT
+            + ":- memorize(text(X), [], o(X), m, 5). synchronized(c(X), access_mem(m, o(X), _), [[m, 1]]) <- go. "
+            "d <- c(anna).",
+            "argument 1 of c/1 is a text",
+        ),
+        (
+            ":- declare_event(reading(celsius:float)). c(X) <- reading(X). d <- c(high).",
+            "argument 1 of c/1 is a number",
+        ),
     ],
 )
-def test_values_flow_to_an_event(definitions: Definitions, rules: str) -> None:
+def test_values_flow_to_an_event(definitions: Definitions, rules: str, value: str) -> None:
     (message,) = impossible_values(definitions, rules)
-    assert message.startswith(
-        ("argument 1 of c/1 is", "argument 1 of c/2 is", "argument 1 of on/1 is", "argument 1 of text/1")
-    )
+    assert message.startswith(f"{value} (")
 
 
 @pytest.mark.parametrize(
@@ -173,34 +205,87 @@ def test_conflict_is_reported_with_advice(definitions: Definitions, rules: str, 
 
 
 @pytest.mark.parametrize(
-    "rules",
+    ("rules", "conflict"),
     [
         # Predicates: clauses, recursion, comparisons in bodies, calls with constants, assertions.
-        "ok(X) <- text(X) where friend(X). friend(X) :- known(X). known(anna). known(X) :- friend(X).",
-        "ok(X) <- text(X) where warm(X). warm(T) :- T > 38.",
-        "ok(X) <- text(X) where anna(X). anna(N) :- N == anna.",
-        'ok <- go where known(anna). known("anna").',
-        ":- dynamic seen/1. null do assertz(seen(X)) <- text(X). ok <- go where seen(anna).",
-        ":- dynamic n/1. null do assertz(n(0)) <- a. null do (retract(n(X)), Y is X + 1, assertz(n(Y))) <- b. "
-        "ok <- go where n(zero).",
-        "ok(X) <- text(X) where (X = anna ; fail).",
-        "ok(X) <- text(X) where (go(X) -> true ; X == anna). go(_).",
-        "ok(X) <- text(X) where findall(Y, (known(Y), Y == X), _). known(anna).",
-        "ok(X) <- text(X) where atom_length(X, X).",
+        (
+            "ok(X) <- text(X) where friend(X). friend(X) :- known(X). known(anna). known(X) :- friend(X).",
+            "X is a text (data of std_msgs/String), and argument 1 of friend/1 is an atom (anna in line 2)",
+        ),
+        (
+            "ok(X) <- text(X) where warm(X). warm(T) :- T > 38.",
+            "X is a text (data of std_msgs/String), and argument 1 of warm/1 is used as a number",
+        ),
+        (
+            "ok(X) <- text(X) where anna(X). anna(N) :- N == anna.",
+            "X is a text (data of std_msgs/String), and argument 1 of anna/1 is an atom (anna in line 2)",
+        ),
+        (
+            'ok <- go where known(anna). known("anna").',
+            'argument 1 of known/1 is a string ("anna" in line 2), never anna',
+        ),
+        (
+            ":- dynamic seen/1. null do assertz(seen(X)) <- text(X). ok <- go where seen(anna).",
+            "argument 1 of seen/1 is a text (data of std_msgs/String), never anna",
+        ),
+        (
+            ":- dynamic n/1. null do assertz(n(0)) <- a. null do (retract(n(X)), Y is X + 1, assertz(n(Y))) <- b. "
+            "ok <- go where n(zero).",
+            "argument 1 of n/1 is a number (0 in line 2), never zero",
+        ),
+        ("ok(X) <- text(X) where (X = anna ; fail).", "X is a text (data of std_msgs/String), never anna"),
+        (
+            "ok(X) <- text(X) where (go(X) -> true ; X == anna). go(_).",
+            "X is a text (data of std_msgs/String), never anna",
+        ),
+        (
+            "ok(X) <- text(X) where findall(Y, (known(Y), Y == X), _). known(anna).",
+            "Y is an atom (anna in line 2), and X is a text (data of std_msgs/String)",
+        ),
+        (
+            "ok(X) <- text(X) where atom_length(X, X).",
+            "X is a text (data of std_msgs/String), and the result of atom_length/2 is a number",
+        ),
         # Memories, subscriptions, states.
-        ":- memorize(text(X), [], o(X), m, 5). ok <- go where access_mem(m, o(anna), _).",
-        ":- memorize(text(X), [], X, m, 5). ok <- go where (prev(m, Y, 1, _, _), Y == anna).",
-        ":- memorize(text(X), [X == anna], X, m, 5).",
-        ":- subscribe(text(X), [known(X)], X, topic, id). known(anna).",
-        ":- state(on(X), from(text(X)), until(off)). ok <- go where holds(on(anna)).",
-        ":- state(on(X), from(text(X)), until(off)). ok <- go where (holds(on(Y)), Y > 3).",
+        (
+            ":- memorize(text(X), [], o(X), m, 5). ok <- go where access_mem(m, o(anna), _).",
+            "argument 1 of the record of memory m is a text (data of std_msgs/String), never anna",
+        ),
+        (
+            ":- memorize(text(X), [], X, m, 5). ok <- go where (prev(m, Y, 1, _, _), Y == anna).",
+            "Y is a text (data of std_msgs/String), never anna",
+        ),
+        (
+            ":- memorize(text(X), [X == anna], X, m, 5).",
+            "memory m: this variable is a text (data of std_msgs/String), never anna",
+        ),
+        (
+            ":- subscribe(text(X), [known(X)], X, topic, id). known(anna).",
+            "a subscription of topic topic: this variable is a text (data of std_msgs/String), and "
+            "argument 1 of known/1 is an atom",
+        ),
+        (
+            ":- state(on(X), from(text(X)), until(off)). ok <- go where holds(on(anna)).",
+            "argument 1 of on/1 is a text (data of std_msgs/String), never anna",
+        ),
+        (
+            ":- state(on(X), from(text(X)), until(off)). ok <- go where (holds(on(Y)), Y > 3).",
+            "Y is a text (data of std_msgs/String), not a number",
+        ),
         # Joins of the program's own events, and conditions of row patterns.
-        "level(X) <- std_msgs__0__Float32(X). ok(X) <- text(X) seq level(X).",
-        "ok(N) <- aggregate(count, text(X), N, steps([one where X == anna])).",
+        (
+            "level(X) <- std_msgs__0__Float32(X). ok(X) <- text(X) seq level(X).",
+            "X is a text (data of std_msgs/String), and argument 1 of level/1 is a number (data of std_msgs/Float32)",
+        ),
+        (
+            "ok(N) <- aggregate(count, text(X), N, steps([one where X == anna])).",
+            "X is a text (data of std_msgs/String), never anna",
+        ),
     ],
 )
-def test_values_flow_to_a_goal(definitions: Definitions, rules: str) -> None:
-    assert len(type_conflicts(definitions, TEXT + rules)) == 1
+def test_values_flow_to_a_goal(definitions: Definitions, rules: str, conflict: str) -> None:
+    (message,) = type_conflicts(definitions, TEXT + rules)
+    assert message.startswith(conflict)
 
 
 @pytest.mark.parametrize(

@@ -3,7 +3,7 @@
 from typing import Any, List
 
 import pytest
-from checked_access import required
+from asserting_accessors import required
 
 from retalis import Clock, Engine, StreamClock, atom
 from retalis.prolog.terms.timestamps import SECOND

@@ -12,8 +12,8 @@ from typing import Any
 
 import pytest
 from events.fused.fused_path_plugin import PATHS
-from python_path import python_path
 from source import ROOT
+from subprocess_python_path import python_path
 
 WHOLE = os.environ.get("RETALIS_TEST_FUSED") == "1"
 FOLDERS = ["test/events"] if WHOLE else ["test/events/rules", "test/events/dispatch"]

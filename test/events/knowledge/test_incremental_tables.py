@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any, List, Set
 
 import pytest
-from checked_access import stream_clock
+from asserting_accessors import stream_clock
 
 from retalis import Engine, RetalisError
 

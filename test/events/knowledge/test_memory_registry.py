@@ -5,7 +5,7 @@ import re
 from typing import Any, List, Optional
 
 import pytest
-from checked_access import compound, name_of
+from asserting_accessors import compound, name_of
 from recording_engine import RecordingEngine
 
 from retalis import Engine, PrologError, UsageError, atom, deref, list_items

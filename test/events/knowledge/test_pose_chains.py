@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any, List, Tuple
 
 import pytest
-from checked_access import compound, required
+from asserting_accessors import compound, required
 from hypothesis import given, settings
 from hypothesis import strategies as st
 

@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import Any, List
 
 import pytest
-from checked_access import required
+from asserting_accessors import required
 from recording_engine import RecordingEngine
 
 from retalis import Clock, Engine, PrologError

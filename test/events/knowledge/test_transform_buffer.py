@@ -7,7 +7,7 @@ from random import Random
 from typing import Any, List, Tuple
 
 import pytest
-from checked_access import required
+from asserting_accessors import required
 from hypothesis import given
 from hypothesis import strategies as st
 

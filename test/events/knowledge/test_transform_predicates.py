@@ -3,7 +3,7 @@
 from typing import Any, Dict, List
 
 import pytest
-from checked_access import stream_clock
+from asserting_accessors import stream_clock
 from recording_reports import RecordingReports
 
 from retalis import Engine, PrologError, Settings, StreamClock

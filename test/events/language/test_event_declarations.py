@@ -3,7 +3,7 @@
 from typing import Any, List
 
 import pytest
-from checked_access import compound
+from asserting_accessors import compound
 from hypothesis import given, settings
 from hypothesis import strategies as st
 

@@ -1,10 +1,12 @@
-"""Errors in labels and properties."""
+"""Labels and names of rules, and errors in labels and properties."""
 
 import pytest
 from events.load_problems import assert_refused, warnings_of
 
-from retalis.events.language.rule_labels import WORD_PROPERTIES
+from retalis import Engine
+from retalis.events.language.rule_labels import MAX_NAME_CHARACTERS, WORD_PROPERTIES, rule_title
 from retalis.events.matches.network_options import AfterMatchSkipStrategy, ConsumptionPolicy
+from retalis.foundation.errors import line_of
 
 LABEL_ADVICE = "a label is an atom, or Label([property(Name, Value), ...])"
 
@@ -53,3 +55,39 @@ def test_misspelt_property_has_suggestion() -> None:
 def test_property_values_are_those_of_the_network() -> None:
     assert WORD_PROPERTIES["policy"] == tuple(policy.value for policy in ConsumptionPolicy)
     assert WORD_PROPERTIES["after_match"] == tuple(strategy.value for strategy in AfterMatchSkipStrategy)
+
+
+@pytest.mark.parametrize(
+    ("rule", "name"),
+    [
+        ("hot : a(X) <- b(X).", "hot"),
+        ("'Too hot'([property(window, 3)]) : a(X) <- b(X).", "'Too hot'"),
+        ("a(X, _) <- b(X).", "a(X,_)"),
+        ("exceptionAlarm(late(X), 3) <- b(X).", "late(X)"),
+        ("synchronized(seen(X), true, []) <- b(X).", "seen(X)"),
+        ("null do writeln(X) <- b(X).", "do writeln(X)"),
+        ("b(X) do writeln(X).", "do writeln(X)"),
+        ("a(X) do writeln(X) <- b(X).", "a(X)"),
+        ("X <- b(X).", "any event"),
+        (f"{'a' * 100} <- b.", "a" * MAX_NAME_CHARACTERS + "..."),
+    ],
+)
+def test_name_is_label_or_head(rule: str, name: str) -> None:
+    engine = Engine()
+    engine.load(rules=rule)
+    assert engine.status().rules[0].name == name
+
+
+def test_title_has_name_and_line() -> None:
+    engine = Engine()
+    engine.load(rules="\na <- b.\na <- c.", source="rules.txt")
+    assert engine.call("ins_event_rule((a <- d))")
+    titles = [rule_title(rule.name, line_of(rule.place)) for rule in engine.status().rules]
+    assert titles == ["a (rules.txt:2)", "a (rules.txt:3)", "a (added at run time)"]
+    assert [rule.title for rule in engine.program.rules.rules] == titles
+
+
+def test_restored_rule_has_its_name() -> None:
+    engine = Engine()
+    engine.load(rules="hot : a(X) <- b(X).\na(X) <- c(X).")
+    assert [rule.name for rule in Engine.restore(engine.snapshot()).status().rules] == ["hot", "a(X)"]

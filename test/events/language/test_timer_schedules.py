@@ -3,7 +3,7 @@
 from typing import Optional
 
 import pytest
-from checked_access import required
+from asserting_accessors import required
 from hypothesis import given
 from hypothesis import strategies as st
 from parsing import parse_term

@@ -3,7 +3,7 @@
 from typing import Any
 
 import pytest
-from checked_access import required
+from asserting_accessors import required
 from parsing import parse_term
 
 from retalis import UsageError

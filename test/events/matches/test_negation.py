@@ -4,12 +4,13 @@ import random
 from typing import Any, List, Tuple
 
 import pytest
-from checked_access import stream_clock
-from events.program_runner import ProgramRunner, outputs_of
+from asserting_accessors import stream_clock
+from events.program_runner import ProgramRunner, outputs_of, term_text
 
 from retalis import Engine
 from retalis.events.matches.expiration import SLICE_ENTRIES
-from retalis.events.matches.negation import NegationBuffer
+from retalis.events.matches.negation import MAX_RULED_OUT, NegationBuffer, OverlapBuffer
+from retalis.prolog.terms.timestamps import SECOND
 
 
 def _negations(program: Any) -> List[Any]:
@@ -339,3 +340,204 @@ def test_windows_expire_with_pinned_clock(rule: str) -> None:
     for second in range(1000):
         engine.event(f"{'ac'[second % 2]}({second})", second)
     assert rules.match_count < 10
+
+
+def _overlap_buffers(program: Any) -> List[OverlapBuffer]:
+    (rule,) = program.engine.rules.rules
+    return [
+        negation
+        for node in rule.nodes
+        for negation, _ in getattr(node, "deferred_negations", ())
+        if isinstance(negation, OverlapBuffer)
+    ]
+
+
+@pytest.mark.parametrize(
+    ("rule", "stream", "expected"),
+    [
+        ("d <- (a seq b seq c) without r.", "a@1 r@2 b@3 c@4", ""),
+        ("d <- (a seq b seq c) without r.", "r@1 a@1 b@3 c@4 r@4", "d@1-4"),
+        ("d <- (a seq b) without r.", "a@1-3 r@2-2 b@4", ""),
+        ("d <- (a seq b) without r.", "r@0-2 a@1 b@4", ""),
+        ("d <- (a and b) without r.", "b@1 r@2 a@3", ""),
+        ("d <- (a or b) without r.", "a@1-3 r@4-6 b@5-7 a@6-8", "d@1-3 d@6-8"),
+        ("d(X) <- (a(X) seq b) without r(X).", "a(1)@1 a(2)@1 r(2)@2 b@3", "d(1)@1-3"),
+        ("d(X) <- (a(X) seq b) without (r(Y) where Y > X).", "a(1)@1 a(5)@1 r(3)@2 b@3", "d(5)@1-3"),
+        ("d(X) <- c(X) seq ((a seq b) without r(X)).", "c(1)@0 a@1 r(2)@2 b@3", "d(1)@0-3"),
+        ("d(X) <- c(X) seq ((a seq b) without r(X)).", "c(1)@0 a@1 r(1)@2 b@3", ""),
+        ("d(N) <- (a seq aggregate(count, b, N)) without r.", "a@1 b@2 r@3 b@4", "d(0)@1-1 d(1)@1-2"),
+        ("d <- (a ntimes 3) without r.", "a@1 a@2 r@2.5 a@3 a@4 a@5", "d@3-5"),
+        ("d <- ((a seq b) do true) without r.", "a@1 r@2 b@3 a@4 b@5", "d@4-5"),
+    ],
+)
+def test_overlapping_event_excludes_match(rule: str, stream: str, expected: str) -> None:
+    assert outputs_of(rule, stream) == expected
+
+
+def test_excluded_partner_of_without_remains() -> None:
+    program = ProgramRunner("d(X) <- (a(X) seq b) without r.", policy="chronological")
+    assert program.feed("a(1)@1 r@2 a(2)@3 b@4") == "d(2)@3-4"
+
+
+def test_overlapping_event_excludes_late_match() -> None:
+    program = ProgramRunner(":- set_etalis_flag(out_of_order, on). d <- (a seq b) without r within 5.")
+    assert program.feed("r@2 b@3 a@1") == ""
+    assert program.feed("b@13 r@10 a@11") == "d@11-13"
+
+
+def test_late_start_of_repetition_is_excluded() -> None:
+    rule = "r([property(event_rule_window, 4)]) : o <- (b(_) seq c star_times) without d."
+    assert outputs_of(rule, "c@31 d@13-17 b(1)@13-17") == ""
+
+
+def test_retracted_overlapping_event_releases_match() -> None:
+    for pattern in ("(a seq b)", "(a and b)", "at_end(b)", "(a seq b star_times)"):
+        program = ProgramRunner(f":- set_etalis_flag(revision_flag, on). d <- {pattern} without r.")
+        assert "d@" not in program.feed("a@1 r@0-6 b@5").replace("d@1-1", "")
+        assert "d@" in program.feed("rev(r)@7"), pattern
+
+
+def test_events_of_without_expire_by_their_ends() -> None:
+    program = ProgramRunner("d <- (a seq b) without r within 5.")
+    (buffer,) = _overlap_buffers(program)
+    for number in range(0, 1000, 2):
+        program.feed(f"r@{number}-{number + 1}")
+        assert len(buffer.buffer.stored_matches()) <= 6
+    assert program.feed("r@0-1001 a@1000 b@1002 a@1003 b@1004") == "d@1003-1004"
+
+
+def test_events_of_without_are_bounded_without_limit() -> None:
+    """Of each key, the newest events are stored that no other one contains, so no key affects another."""
+    program = ProgramRunner("d(X) <- (a(X) seq b) without r(X).", policy="unrestricted")
+    program.feed("r(0)@1 a(0)@0 " + " ".join(f"a({number})@2" for number in range(1, 4)))
+    for number in range(MAX_RULED_OUT + 9):
+        program.feed(f"r(1)@{3 + number} r(2)@3-{4 + number}")
+    (buffer,) = _overlap_buffers(program)
+    assert len(buffer.buffer.stored_matches()) == MAX_RULED_OUT + 2
+    assert program.feed("b@5000") == "d(3)@2-5000"
+
+
+def test_late_events_of_without_evict_those_that_end_first() -> None:
+    for count in (1, MAX_RULED_OUT - 1, MAX_RULED_OUT + 9):
+        program = ProgramRunner(":- set_etalis_flag(out_of_order, on). d <- (a seq b) without r.")
+        assert program.feed("r@5000 " + " ".join(f"r@{4900 - number}" for number in range(count))) == ""
+        assert program.feed("a@4950 b@5100") == "", count
+        assert program.feed("a@5101 b@5102") == "d@5101-5102"
+
+
+VISIT = "visit(W) <- aggregate(count, seen(W), _, session(30, max(600))). "
+
+
+@pytest.mark.parametrize("justification", ["off", "on"])
+@pytest.mark.parametrize(
+    "rule",
+    [
+        "quiet(W) <- visit(W) without door.",
+        "quiet(W) <- (visit(W) without door) within 650.",
+        "quiet(W) <- (start seq visit(W)) without door.",
+    ],
+)
+def test_event_of_without_excludes_result_of_session(rule: str, justification: str) -> None:
+    engine = Engine()
+    names: List[str] = []
+    engine.call(f"set_etalis_flag(etalis_justification, {justification})")
+    engine.load(rules=VISIT + rule)
+    engine.on_event(lambda term, start, end: names.append(term_text(term)))
+    later_doors = [("door", 10 + number / 10) for number in range(250)]
+    events = [("start", 0), ("seen(a)", 1), ("door", 5), ("seen(a)", 9), *later_doors]
+    for name, time in [*events, ("start", 59), ("seen(b)", 60), ("tick", 99)]:
+        engine.event(name, time)
+    assert [name for name in names if name.startswith("quiet")] == ["quiet(b)"]
+
+
+@pytest.mark.parametrize(
+    ("rule", "seconds"),
+    [
+        ("d <- (p without r) within 700.", 1400),
+        ("x([property(window, 5)]) : d <- p without r.", 605),
+        ("x([property(window, 5)]) : d <- (p without r) seq q.", 605),
+        ("d <- ((p without r) seq q) within 5.", 605),
+        ("d <- aggregate(count, p, _, session(30, max(600))) without r.", 1260),
+        ("d <- aggregate(count, p, _, every(10)) without r.", 610),
+        ("d <- aggregate(count, p, _, session(30)) without r.", None),
+        ("x([property(window, 5)]) : d <- a cnot (p without r).", None),
+        ("x([property(window, 5)]) : d <- at_end(p without r) seq q.", None),
+        ("d <- p without r.", None),
+    ],
+)
+def test_time_limit_ends_storage_of_without(rule: str, seconds: Any) -> None:
+    (rule_at_run_time,) = ProgramRunner(rule).engine.rules.rules
+    retentions = {
+        negation.buffer.retention and round(negation.buffer.retention / SECOND)
+        for node in rule_at_run_time.nodes
+        for negation, _ in getattr(node, "deferred_negations", ())
+    }
+    assert retentions == {seconds}
+
+
+def test_match_after_expiration_of_without_is_reported() -> None:
+    program = ProgramRunner("d(X) <- (p(X) without r(X)) within 5.")
+    assert program.feed("r(1)@3 r(2)@2000 p(1)@2-4 p(3)@2-4 p(2)@1900-1904") == "d(3)@2-4 d(2)@1900-1904"
+    assert program.engine.rules.rules[0].late_count == 1
+    assert "an event after without that it may overlap is not stored" in program.warnings[0].message
+    program.engine.rules.clear()
+    assert program.feed("p(1)@2-4") == "d(1)@2-4"
+
+
+def test_retraction_after_expiration_of_without_releases_match() -> None:
+    program = ProgramRunner(":- set_etalis_flag(revision_flag, on). d <- (p without r(_)) within 5.")
+    assert program.feed("r(1)@2 p@1-3 r(2)@1000") == ""
+    assert program.feed("rev(r(1))@1001") == "d@1-3"
+
+
+def test_late_pair_of_without_is_decided_for_its_key_only() -> None:
+    program = ProgramRunner("d(X) <- (a(X) seq b(X)) without r(X).", policy="unrestricted")
+    program.feed("a(1)@1 a(2)@2 " + " ".join(f"r(1)@{3 + number}" for number in range(MAX_RULED_OUT + 9)))
+    assert program.feed("b(1)@2 b(2)@3") == "d(2)@2-3"
+    assert program.engine.rules.rules[0].late_count == 1
+
+
+def test_lost_events_of_without_are_recorded_for_few_keys(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("retalis.events.matches.negation.MAX_LOST_KEYS", 2)
+    program = ProgramRunner("d(X) <- (p(X) without r(X)) within 5.")
+    program.feed("r(1)@3 r(2)@4 r(3)@5 r(4)@6 tick@9 r(9)@2000")
+    assert program.feed("p(3)@6-7 p(5)@3-5 p(4)@5-7 p(5)@4-5") == "d(3)@6-7 d(5)@4-5"
+
+
+def test_dropped_event_of_without_is_named() -> None:
+    program = ProgramRunner()
+    program.engine.rules.network.limit_stored(20)
+    program.engine.load(rules="d <- p without r(_).")
+    program.feed(" ".join(f"r({number})@{number}" for number in range(22)))
+    (rule,) = program.engine.rules.rules
+    assert (rule.stored_match_count, rule.dropped_count) == (20, 2)
+    text = program.warnings[-1].message
+    assert "rule d has more than 20 partial matches; 2 of the oldest have been dropped" in text
+    assert "the last one is a negated event r(1): results that it excludes may be emitted" in text
+
+
+def test_nested_events_of_without_are_stored_once() -> None:
+    intervals = [(start, start + length) for start in range(9) for length in range(9)]
+    for seed in range(5):
+        sample = random.Random(seed).sample(intervals, 40)
+        outer = {
+            end
+            for start, end in sample
+            if not any(s <= start and end <= e and (s, e) != (start, end) for s, e in sample)
+        }
+        program = ProgramRunner("d <- p without r.")
+        program.feed(" ".join(f"r@{start}-{end}" for start, end in sample))
+        (buffer,) = _overlap_buffers(program)
+        assert {match.end // SECOND for match in buffer.buffer.stored_matches()} == outer
+        for start, end in intervals:
+            is_excluded = any(s < end and start < e for s, e in sample)
+            assert program.feed(f"p@{start}-{end}") == ("" if is_excluded else f"d@{start}-{end}")
+
+
+def test_first_sides_of_without_are_bounded() -> None:
+    program = ProgramRunner("d(X) <- (a(X) seq b(X)) without r.")
+    for number in range(20_000):
+        program.feed(f"a({number})@{number} r@{number}.5")
+    assert program.engine.rules.rules[0].match_count < 10_000
+    assert program.engine.rules.rules[0].dropped_count == 0
+    assert program.feed("a(1)@30000 b(1)@30001 b(19999)@30002") == "d(1)@30000-30001"

@@ -4,7 +4,7 @@ from itertools import product
 from typing import Any, Optional
 
 import pytest
-from checked_access import required
+from asserting_accessors import required
 
 from retalis.events.language.event_operators import PAIR_OPERATORS
 from retalis.events.matches.interval_index import BEFORE, BETWEEN, MAX_VALUE, MIN_VALUE, interval_bounds

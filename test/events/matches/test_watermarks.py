@@ -207,6 +207,8 @@ def test_lag_is_forgotten_after_one_to_two_periods() -> None:
 
 # ---- equal results with and without lags ---------------------------------------------------------------
 
+NUMBERS_OF_EXAMPLES = [15, pytest.param(100, marks=pytest.mark.nightly)]
+
 stamped_events = st.lists(
     st.tuples(
         st.integers(20_000, 50_000),
@@ -246,21 +248,27 @@ OUT_OF_ORDER_PROGRAMS = {
     "debounce": "settled(X, S) <- in(X, S) with debounce(0.5, X).",
     "hopping": "n(X, N) <- aggregate(count, in(X, _), N, last(2, every(1))).",
     "every": "n(X, N) <- aggregate(count, in(X, _), N, every(1)).",
+    "session": "n(X, N) <- aggregate(count, in(X, _), N, session(1)).",
+    "bounded session": "n(X, N) <- aggregate(count, in(X, _), N, session(0.5, max(2))).",
 }
 
 
+@pytest.mark.parametrize("examples", NUMBERS_OF_EXAMPLES)
 @pytest.mark.parametrize("rules", OUT_OF_ORDER_PROGRAMS.values(), ids=list(OUT_OF_ORDER_PROGRAMS))
 @pytest.mark.slow
-@settings(max_examples=60, deadline=None)
-@given(stamped_events)
-@example([(20_000, "in(a, on)", 0), (20_490, "in(a, off)", 15)])
-@example([(30_254, "in(a, on)", 300), (30_549, "in(a, on)", 4)])
-def test_results_with_lags_equal_those_at_stamps(rules: Any, events: Any) -> None:
-    all_events = with_beacons(events)
-    expected = sorted(receive_at_stamps(EngineDriver(rules, watermark_delay=0), all_events))
-    for delay in (None, 0.3):
-        outputs = receive_with_lags(EngineDriver(rules, watermark_delay=delay), all_events, in_order=False)
-        assert sorted(outputs) == expected
+def test_results_with_lags_equal_those_at_stamps(rules: str, examples: int) -> None:
+    @settings(max_examples=examples)
+    @given(stamped_events)
+    @example([(20_000, "in(a, on)", 0), (20_490, "in(a, off)", 15)])
+    @example([(30_254, "in(a, on)", 300), (30_549, "in(a, on)", 4)])
+    def check_outputs(events: Any) -> None:
+        all_events = with_beacons(events)
+        expected = sorted(receive_at_stamps(EngineDriver(rules, watermark_delay=0), all_events))
+        for delay in (None, 0.3):
+            driver = EngineDriver(rules, watermark_delay=delay)
+            assert sorted(receive_with_lags(driver, all_events, in_order=False)) == expected
+
+    check_outputs()
 
 
 IN_ORDER_PROGRAMS = {
@@ -269,22 +277,26 @@ IN_ORDER_PROGRAMS = {
 }
 
 
+@pytest.mark.parametrize("examples", NUMBERS_OF_EXAMPLES)
 @pytest.mark.parametrize("program", IN_ORDER_PROGRAMS.values(), ids=list(IN_ORDER_PROGRAMS))
 @pytest.mark.slow
-@settings(max_examples=60, deadline=None)
-@given(stamped_events)
-def test_ordered_results_with_lags_are_equal(program: Any, events: Any) -> None:
-    all_events = with_beacons(events)
-    expected = sorted(receive_at_stamps(EngineDriver(*program, watermark_delay=0), all_events))
-    outputs = receive_with_lags(EngineDriver(*program), all_events, in_order=True)
-    assert sorted(outputs) == expected
+def test_ordered_results_with_lags_are_equal(program: Any, examples: int) -> None:
+    @settings(max_examples=examples)
+    @given(stamped_events)
+    def check_outputs(events: Any) -> None:
+        all_events = with_beacons(events)
+        expected = sorted(receive_at_stamps(EngineDriver(*program, watermark_delay=0), all_events))
+        outputs = receive_with_lags(EngineDriver(*program), all_events, in_order=True)
+        assert sorted(outputs) == expected
+
+    check_outputs()
 
 
 @pytest.mark.slow
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=15)
 @given(stamped_events, st.integers(20_000, 51_000))
 def test_restored_run_equals_continued_run(events: Any, instant: int) -> None:
-    rules = "\n".join(OUT_OF_ORDER_PROGRAMS[name] for name in ("absent", "debounce", "every"))
+    rules = "\n".join(OUT_OF_ORDER_PROGRAMS[name] for name in ("absent", "debounce", "every", "session"))
     arrivals = sorted((stamp + lag, text, stamp) for stamp, text, lag in with_beacons(events))
     restored = EngineDriver(rules, STATE)
     earlier = [arrival for arrival in arrivals if arrival[0] < instant * MILLISECOND]

@@ -3,7 +3,7 @@
 from typing import Any, List, Tuple
 
 import pytest
-from checked_access import required
+from asserting_accessors import required
 from events.program_runner import ProgramRunner, format_events, outputs_of
 
 from retalis import Engine

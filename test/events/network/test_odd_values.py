@@ -21,7 +21,14 @@ HOPPING_WITH_GAPS = "last(1,every(3))"
 """Windows that do not touch: values between them are not measured, and not refused."""
 WINDOWS = [
     *("last(2)", "last(3,events)", "last(2,every(1))", HOPPING_WITH_GAPS, "every(1)", "every(3,events)"),
-    *("every(2,first)", "running(every(1))", "running(every(2,first))", "running(every(3,events))"),
+    *(
+        "session(1)",
+        "session(1,max(2))",
+        "every(2,first)",
+        "running(every(1))",
+        "running(every(2,first))",
+        "running(every(3,events))",
+    ),
 ]
 CONDITIONS = [
     *(
@@ -128,7 +135,7 @@ def place(stream: Any) -> Tuple[Any, ...]:
 
 
 @pytest.mark.slow
-@settings(max_examples=150)
+@settings(max_examples=60)
 @given(st.sampled_from(RULES), st.one_of(make_streams(NUMBERS), make_streams(ARRAYS)))
 def test_odd_values_change_no_result_of_other_keys(rule: Any, stream: Any) -> None:
     arrivals, regular_arrivals = place(stream)

@@ -52,6 +52,8 @@ EVENT, RESET, FLAG = "event(a(9),[2,2])", "reset_db", "set_etalis_flag(revision_
         ("every(5)", RESET, "w([3,2,1])"),
         ("every(5, first)", "event(a(9),[17,17])", "w([3,2,1]) w([9])"),
         ("last(8, every(4))", RESET, "w([3,2,1])"),
+        ("session(5)", "event(a(9),[17,17])", "w([3,2,1]) w([9])"),
+        ("session(5)", RESET, "w([3,2,1])"),
     ],
 )
 def test_goal_of_fold_is_deferred_until_event_is_added(window: str, goal: str, outputs: str) -> None:

@@ -16,6 +16,8 @@ RULES = {
     "every": "out(M, A) <- aggregate(list(T), t(M, T), A, every(4)).",
     "hopping": "out(M, A) <- aggregate(count, t(M, T), A, last(6, every(2))).",
     "first": "out(M, A) <- aggregate(list(T), t(M, T), A, every(4, first)).",
+    "session": "out(M, A) <- aggregate(list(T), t(M, T), A, session(2)).",
+    "bounded session": "out(M, A) <- aggregate(count, t(M, T), A, session(2, max(4))).",
     "running": "out(M, A) <- aggregate(count, t(M, T), A, running(every(4))).",
     "steps": "out(M, A) <- aggregate(list(T), t(M, T), A, steps([a(1, 2), later(b) where T > prev(T)])).",
     "greedy": "out(M, A) <- aggregate(list(T), t(M, T), A, steps([a(1, many) where T >= prev(T)])).",
@@ -24,6 +26,8 @@ RULES = {
     "debounce": "out(M, T) <- t(M, T) with debounce(2, M).",
     "change": "out(M, T) <- t(M, T) with change(T, M).",
     "absent": "out(M, T) <- t(M, T) seq absent(t(M, _), 3).",
+    "absent by variable": "out(M, T) <- t(M, T) seq absent(t(M, _), T).",
+    "not preceded": "out(M, T) <- t(M, T) with not_preceded(t(M, _), 2).",
     "joined": "out(M, N) <- (t(M, T) with throttle(3)) and (aggregate(count, t(M, _), N, last(3))).",
 }
 SEED_COUNT = 8
@@ -90,7 +94,7 @@ def test_retraction_removes_joined_output() -> None:
 def test_retraction_in_long_stream(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(stream_node, "MAX_REPLAYED_ELEMENTS", 5)
     events = [(f"t(a,{number})", 10 + number) for number in range(30)]
-    for name in ("last", "newest", "batch", "every", "hopping", "running"):
+    for name in ("last", "newest", "batch", "every", "hopping", "running", "session"):
         with_retraction = [*events, ("rev(t(a,28))", 40)]
         without_event = [event for event in events if event[0] != "t(a,28)"]
         assert remaining_outputs(RULES[name], with_retraction) == remaining_outputs(

@@ -1,16 +1,17 @@
 """Stream operators in rules: deadlines, state and reports."""
 
+import re
 from fractions import Fraction
 from pathlib import Path
 from typing import Any, Iterator, List, Tuple
 
 import pytest
-from checked_access import stream_clock
+from asserting_accessors import stream_clock
 from events.program_runner import outputs_of
 from events.streams.operator_driver import entry_count
 from recording_reports import RecordingReports
 
-from retalis import Clock, Engine, StreamClock
+from retalis import Clock, Engine, RetalisError, StreamClock
 from retalis.events.network.event_rule import EventRule
 from retalis.prolog.terms.timestamps import SECOND
 
@@ -125,6 +126,89 @@ def test_clock_moved_back_clears_state() -> None:
     assert sum(rule.match_count for rule in engine.event_rules) == 0
     assert engine.feed("in(2)@1") == "w([2])@1-1 t(2)@1-1"
     assert engine.feed("tick@20") == "a(1)@0-2 d(2)@1-2 c(2)@1-6"
+
+
+@pytest.mark.parametrize("late", ["on", "off"])
+def test_absence_takes_time_from_variable(late: str) -> None:
+    """Each match has its own time; it may be bound by a condition, and equals the time of a constant."""
+    rules = "limit(1, 3). limit(2, 1.5).\n" + f":- set_etalis_flag(out_of_order, {late}).\n"
+    variable = EngineDriver(rules + "o(X) <- (in(X) where limit(X, N)) seq absent(no(X), N).")
+    constants = EngineDriver(
+        rules + "o(1) <- in(1) seq absent(no(1), 3).\no(2) <- in(2) seq absent(no(2), 1.5)."
+    )
+    events = "in(1)@1 in(2)@1 no(2)@2-5 in(1)@2 no(1)@3 in(2)@6 no(1)@9 in(1)@8 in(1)@8.5 no(2)@8 tick@20"
+    outputs = variable.feed(events)
+    assert outputs == constants.feed(events)
+    assert outputs == "o(2)@1-2.5 o(1)@1-4 o(2)@6-7.5"
+
+
+def test_invalid_time_of_absence_is_reported_and_skipped() -> None:
+    engine = EngineDriver("o(X) <- in(X, N) seq absent(no(X), N).")
+    invalid = ["x", "0", "-1", "0.0", "1.0e-12", "nan", "inf", "1+1", "[]", "_", str(10**30)]
+    for term in invalid:
+        engine.event(f"in(0,{term})", 1)
+    assert engine.feed("in(1,2)@1 tick@9") == "o(1)@1-3"
+    assert engine.event_rules[0].metrics.error_count == len(invalid)
+    assert "absent: the time is the atom 'x': expected a positive number of seconds" in engine.problems[0]
+
+
+def test_absence_with_variable_forgets_old_events() -> None:
+    engine = EngineDriver("o(X) <- in(X, N) seq absent(no(X), N).")
+    for second in range(1000):
+        engine.event("no(0)", second)
+    (stream,) = engine.streams()
+    assert len(stream) == 10
+    assert (
+        engine.feed("no(1)@1000 no(2)@1005 in(1,900)@999 no(3)@1010 in(1,900)@999.5 in(2,900)@1004 tick@2000")
+        == "o(1)@999.5-1899.5"
+    )
+
+
+@pytest.mark.parametrize(
+    ("stream", "expected"),
+    [
+        ("no(1)@1 in(1)@3.9", ""),
+        ("no(1)@1 in(1)@4", "o(1)@4-4"),
+        ("no(2)@1 in(1)@2", "o(1)@2-2"),
+        ("no(1)@1 in(1)@1", "o(1)@1-1"),
+        ("no(1)@0-3 in(1)@2-5", "o(1)@2-5"),
+        ("no(1)@1 in(1)@2-60", ""),
+        ("no(1)@5 in(1)@2", "o(1)@2-2"),
+    ],
+)
+def test_event_shortly_before_excludes_match(stream: str, expected: str) -> None:
+    assert EngineDriver("o(X) <- in(X) with not_preceded(no(X), 3).").feed(stream) == expected
+
+
+def test_not_preceded_applies_to_whole_pattern() -> None:
+    engine = EngineDriver("o(X) <- in(X) seq tick with not_preceded((no(Y) where Y > 1), 3) where X < 9.")
+    assert engine.feed("no(1)@1 in(1)@2 tick@3") == "o(1)@2-3"
+    assert engine.feed("no(2)@11 in(2)@12 tick@13 in(9)@20 tick@30") == ""
+
+
+def test_not_preceded_forgets_old_events() -> None:
+    engine = EngineDriver("o(X) <- in(X) with not_preceded(no(X), 3).")
+    for second in range(1000):
+        engine.event(f"no({second})", second)
+    (stream,) = engine.streams()
+    assert len(stream) == stream.keys == 63
+    assert engine.feed("in(990)@992 in(999)@1002 in(999)@1001") == "o(999)@1002-1002"
+
+
+@pytest.mark.parametrize(
+    ("rule", "message"),
+    [
+        ("o <- a with not_preceded(b, 0).", "1:29: not_preceded needs a positive number of seconds"),
+        ("o <- a with not_preceded(b, N).", "1:29: not_preceded needs a positive number of seconds"),
+        ("o <- a with not_preceded(b).", "1:13: with needs one of throttle(Seconds)"),
+        ("o <- not_preceded(b, 3).", "1:6: not_preceded can only be the right side of a with"),
+        ("o <- a with not_precede(b, 3).", "did you mean not_preceded?"),
+        ("o(X) <- b(X) seq (a with not_preceded(c(X), 3)).", "uses a variable that the pattern before it"),
+    ],
+)
+def test_invalid_not_preceded_is_rejected(rule: str, message: str) -> None:
+    with pytest.raises(RetalisError, match=re.escape(message)):
+        EngineDriver(rule)
 
 
 RULES_WITH_STATE = {

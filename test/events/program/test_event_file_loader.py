@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any, List
 
 import pytest
-from checked_access import place_of
+from asserting_accessors import place_of
 from events.load_problems import assert_refused, errors_of
 from events.program_runner import ProgramRunner, outputs_of
 from recorded_calls import recording
@@ -24,7 +24,12 @@ from retalis.prolog.database.predicate import Predicate
         ("c <- (a seq b) ntimes 1001.", 23, "at most 1000 repetitions of a pattern of several events"),
         ("c <- a star_times.", 8, "right side of a seq"),
         ("c <- a and aggregate(count,b,_).", 12, "right side of a seq"),
-        ("c <- a seq aggregate(median(X),b(X),_).", 22, "no such aggregate"),
+        ("c <- a seq aggregate(mean(X),b(X),_).", 22, "no such aggregate"),
+        ("c <- a seq aggregate(median,b(X),_).", 22, "no such aggregate"),
+        ("c <- a seq aggregate(quantile(2,X),b(X),_).", 22, "quantile needs a number from 0 to 1"),
+        ("c <- a seq aggregate(fold(X,a,b,X),b(X),_).", 22, "needs the names of three predicates"),
+        ("c <- a seq aggregate([count,sum(X)],b(X),_).", 22, "a list of kinds needs a window"),
+        ("c <- a seq aggregate(of(low,count),b(X),_).", 22, "no such aggregate"),
         ("c <- a and prolog(true).", 12, "operand of seq"),
         ("c <- prolog(true) seq prolog(true).", 19, "does not wait for any event"),
         ("c <- 5 seq a.", 6, "not a number"),

@@ -3,7 +3,7 @@
 from typing import Any, List
 
 import pytest
-from checked_access import place_of
+from asserting_accessors import place_of
 
 from retalis import Operators, SyntaxFault
 from retalis.events.program.goal_file import read_goals

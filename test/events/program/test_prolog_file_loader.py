@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import Any, Dict, List, Tuple
 
 import pytest
-from checked_access import place_of
+from asserting_accessors import place_of
 from events.program_runner import ProgramRunner
 
 from retalis import Definitions, Engine, Limits, Omission, ProgramErrors, PrologError, Settings

@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import Any, List
 
 import pytest
-from checked_access import place_of
+from asserting_accessors import place_of
 from events.program_runner import ProgramRunner, format_events
 from recording_reports import RecordingReports
 

@@ -1,7 +1,7 @@
 """Facts that are refused or reported, because they are probably goals or rules with another arrow."""
 
 import pytest
-from checked_access import name_of, place_of
+from asserting_accessors import name_of, place_of
 from events.load_problems import warnings_of
 
 from retalis import Engine, ProgramErrors

@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from checked_access import place_of
+from asserting_accessors import place_of
 
 from retalis import Engine, ProgramErrors, PrologError, Settings, TopicType, UsageError
 from retalis.events.program.topic_configuration import (
@@ -158,8 +158,38 @@ def test_invalid_event_name_is_refused(tmp_path: Path, event: str, message: str)
             20,
         ),
         (
+            '<publish_subscribe><observe_action name="x" msg_type="a/B"/></publish_subscribe>',
+            '<observe_action> needs action_type="..."',
+            1,
+            20,
+        ),
+        (
+            '<publish_subscribe><observe_actions name="x" action_type="a/B"/></publish_subscribe>',
+            "found <observe_actions>; did you mean observe_action?",
+            1,
+            20,
+        ),
+        (
+            '<publish_subscribe>\n<observe_action name="x y" action_type="a/B"/></publish_subscribe>',
+            "<observe_action>: expected a topic name",
+            2,
+            1,
+        ),
+        (
+            '<publish_subscribe><observe_service name="x" srv_type="B"/></publish_subscribe>',
+            "<observe_service>: expected a message type",
+            1,
+            20,
+        ),
+        (
+            '<publish_subscribe><observe_action name="x" action_type="a/B" event="X"/></publish_subscribe>',
+            "<observe_action>: the name of an event begins with a small letter, found X",
+            1,
+            20,
+        ),
+        (
             '<publish_subscribe><subscibe_to name="x" msg_type="a/B"/></publish_subscribe>',
-            "expected <subscribe_to> or <publish_to>, found <subscibe_to>",
+            "found <subscibe_to>; did you mean subscribe_to?",
             1,
             20,
         ),
@@ -171,6 +201,32 @@ def test_error_has_position(tmp_path: Path, text: str, message: str, line: int, 
     (error,) = caught.value.errors
     assert message in error.message
     assert (place_of(error).line, place_of(error).column) == (line, column)
+
+
+def test_action_has_topic_for_each_event(tmp_path: Path) -> None:
+    topics = read_configuration(
+        tmp_path,
+        '<publish_subscribe><observe_action name="dock" action_type="lab/action/Dock"/>'
+        '<observe_action name="undock" action_type="lab/Dock" event="undock"/></publish_subscribe>',
+    )
+    assert topics.subscribed[:5] == (
+        TopicType("dock/goal", "lab/Dock__goal"),
+        TopicType("dock/cancel", "lab/Dock__cancel"),
+        TopicType("dock/feedback", "lab/Dock__feedback"),
+        TopicType("dock/status", "lab/Dock__status"),
+        TopicType("dock/result", "lab/Dock__result"),
+    )
+    assert topics.event_name_of("dock/status") == ""
+    assert topics.event_name_of("undock/status") == "undock__status"
+
+
+def test_service_has_topic_of_its_events(tmp_path: Path) -> None:
+    topics = read_configuration(
+        tmp_path,
+        '<publish_subscribe><observe_service name="/go" srv_type="lab/srv/Go" event="go"/></publish_subscribe>',
+    )
+    assert topics.subscribed == (TopicType("/go/_service_event", "lab/Go_Event"),)
+    assert topics.event_name_of("/go/_service_event") == "go"
 
 
 def test_all_errors_are_reported(tmp_path: Path) -> None:

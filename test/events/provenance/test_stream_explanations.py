@@ -1,7 +1,7 @@
 """Explanations of events and missing events for rules with stream operators."""
 
 import pytest
-from checked_access import compound
+from asserting_accessors import compound
 
 from retalis import Engine
 
@@ -57,6 +57,7 @@ EXPLANATIONS = {
         "w(2)",
         f"windowf(count,[{FIRST},{SECOND}],last(4.0,every(2.0)))",
     ),
+    "an instant": ("w(X) <- at_end(in(X) where X > 0) where X < 2.", "w(1)", f"at_endf({FIRST})"),
     "a throttle": ("w(X) <- in(X) with throttle(5).", "w(1)", f"withf({FIRST},throttle(5.0))"),
     "a change": ("w(X) <- in(X) with change(1, [2, b]).", "w(1)", f"withf({FIRST},change(1,[2,b]))"),
     "a debounce": ("w(X) <- in(X) with debounce(5).", "w(2)", f"withf({SECOND},debounce(5.0))"),
@@ -80,6 +81,7 @@ def test_event_is_explained_by_sources(name: str) -> None:
     [
         ("aggregate(avg(7), never, _, last(5))", "windowf(avg(7),never,last(5.0))"),
         ("never with burst(5)", "withf(never,burst(5.0))"),
+        ("at_start(never)", "at_startf(never)"),
         ("never seq absent(in(1), 5)", "absentf(never,in(1),5.0)"),
         ("in(1) seq absent(no seq in(2), 5)", "absentf(in(1),seqf(no,in(2)),5.0)"),
     ],

@@ -3,7 +3,7 @@
 from typing import Any, Optional, Tuple
 
 import pytest
-from checked_access import required
+from asserting_accessors import required
 from reachable_objects import count_entries
 
 from retalis import Operators, RetalisError, functor

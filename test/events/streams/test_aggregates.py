@@ -2,7 +2,9 @@
 
 import math
 import statistics
+from collections import deque
 from fractions import Fraction
+from functools import reduce
 from typing import Any, Iterator, List
 
 import pytest
@@ -11,7 +13,7 @@ from hypothesis import example, given
 from hypothesis import settings as example_settings
 from hypothesis import strategies as st
 
-from retalis import RuleError, atom, list_items
+from retalis import RuleError, UsageError, atom, list_items, make_list
 from retalis.events.streams.aggregates import AGGREGATES
 from retalis.events.streams.stream_operators import StreamElement
 from retalis.events.streams.windows import SlidingTimeWindow
@@ -105,7 +107,7 @@ TERMS = st.sampled_from([1, 1.0, 2, atom("a"), (atom("f"), 1), (atom("f"), 1.0)]
 @given(arrival_lists(TERMS))
 def test_term_aggregates(arrivals: Any) -> None:
     """Results are in order of arrival; two terms differ if they do not unify."""
-    names = ("first", "last", "list", "distinct", "count_distinct")
+    names = ("first", "last", "list", "distinct", "count_distinct", "changes")
     for window, results in window_results(arrivals, [lambda name=name: accumulator(name) for name in names]):
         values = [arrival.value for arrival in window]
         different = list({term_key(value): value for value in reversed(values)}.values())[::-1]
@@ -114,6 +116,7 @@ def test_term_aggregates(arrivals: Any) -> None:
             for name, result in zip(names, results)
         ]
         expected = [values[0], values[-1], values, sorted_by_first(different, values), len(different)]
+        expected.append(sum(term_key(value) != term_key(other) for value, other in zip(values, values[1:])))
         assert [repr(result) for result in shown] == [repr(result) for result in expected]
 
 
@@ -197,7 +200,20 @@ def test_accumulators_read_their_own_value() -> None:
 
 
 @pytest.mark.parametrize(
-    "name", ["count", "sum", "avg", "stddev", "min", "max", "median", "count_distinct", "distinct", "rate"]
+    "name",
+    [
+        "count",
+        "sum",
+        "avg",
+        "stddev",
+        "min",
+        "max",
+        "median",
+        "count_distinct",
+        "distinct",
+        "changes",
+        "rate",
+    ],
 )
 def test_result_does_not_read_window(name: str) -> None:
     """The cost of a result does not depend on the size of the window; removed elements are not stored."""
@@ -217,3 +233,81 @@ def test_result_does_not_read_window(name: str) -> None:
 
 NO_ELEMENTS = None
 """In place of the elements of the window, which are not read."""
+
+
+SETTINGS = {"quantile": 0.9, "fold": make_list}
+
+
+def values_strategy(name: str) -> Any:
+    return st.lists(NUMBERS if AGGREGATES[name].is_numeric else TERMS, min_size=1, max_size=20)
+
+
+@pytest.mark.parametrize("name", AGGREGATES)
+@example_settings(max_examples=30)
+@given(st.data())
+def test_state_of_repetitions_is_persistent(name: str, data: Any) -> None:
+    """A state has the same result after further values were added to it, and after it was stored."""
+    values = data.draw(values_strategy(name))
+    fold = AGGREGATES[name].make_fold(SETTINGS.get(name))
+    states = [fold.initial_state]
+    results = []
+    for value in values:
+        states.append(fold.add(states[-1], value))
+        results.append(repr(fold.result(states[-1])))
+    for number, state in enumerate(states[1:], 1):
+        stored = fold.state_type.check(fold.state_type.encode(state))
+        for continued in (state, stored):
+            assert repr(fold.result(continued)) == results[number - 1]
+            if number < len(values):
+                assert repr(fold.result(fold.add(continued, values[number]))) == results[number]
+    empty = fold.state_type.check(fold.state_type.encode(fold.initial_state))
+    assert repr(fold.result(fold.add(empty, values[0]))) == results[0]
+
+
+ROUNDED_AT_EACH_VALUE = ("sum", "avg")
+
+
+@pytest.mark.parametrize("name", [name for name in AGGREGATES if name not in ROUNDED_AT_EACH_VALUE])
+@example_settings(max_examples=30)
+@given(st.data())
+def test_repetitions_have_results_of_window(name: str, data: Any) -> None:
+    values = data.draw(values_strategy(name))
+    fold = AGGREGATES[name].make_fold(SETTINGS.get(name))
+    window: Any = deque()
+    aggregate, state = accumulator(name, SETTINGS.get(name, 1)), fold.initial_state
+    assert aggregate.accepts_empty == (fold.empty_result is not None)
+    for number, value in enumerate(values):
+        element = element_of(Arrival(number, "a", number, number, value, 0, number))
+        element.order = number
+        window.append(element)
+        aggregate.add(element)
+        state = fold.add(state, value)
+        if name != "stddev" or number:
+            assert repr(fold.result(state)) in (
+                repr(aggregate.result(window, number + 1)),
+                repr(number + 1) if name == "rate" else None,
+            )
+
+
+def test_distinct_values_of_repetitions_take_few_sets() -> None:
+    state = reduce(AGGREGATES["distinct"].make_fold(None).add, range(1000), _initial_state("distinct"))
+    assert len(state.keys) < 12
+
+
+def test_quantile_of_many_repetitions() -> None:
+    fold = AGGREGATES["median"].make_fold(None)
+    values = [*range(0, 3000, 2), *range(2999, 0, -2)]
+    state = reduce(fold.add, values, fold.initial_state)
+    assert fold.result(state) == 1499.5
+    restored = fold.state_type.check(fold.state_type.encode(state))
+    assert restored == state
+
+
+def _initial_state(name: str) -> Any:
+    return AGGREGATES[name].make_fold(None).initial_state
+
+
+@pytest.mark.parametrize(("name", "value"), [("stddev", [1, [2.5, 0], [4, 0]]), ("median", [math.inf])])
+def test_malformed_state_is_refused(name: str, value: Any) -> None:
+    with pytest.raises(UsageError, match="expected"):
+        AGGREGATES[name].make_fold(None).state_type.check(value)

@@ -3,7 +3,7 @@
 from typing import Any, List, Tuple
 
 import pytest
-from checked_access import required
+from asserting_accessors import required
 from recording_reports import RecordingReports
 
 from retalis import Engine
@@ -20,6 +20,7 @@ TIMED = {
     "first": "aggregate(list(V), q(K, V), L, every(5, first))",
     "hopping": "aggregate(list(V), q(K, V), L, last(10, every(5)))",
     "present": "aggregate(list(V), q(K, V), L, running(every(5)))",
+    "session": "aggregate(list(V), q(K, V), L, session(5))",
     "throttle": "(q(K, L) with throttle(5, K))",
     "burst": "(q(K, L) with burst(5, K))",
     "debounce": "(q(K, L) with debounce(5, K))",
@@ -158,7 +159,8 @@ def test_time_to_live_of_label_overrides_flag() -> None:
 
 
 @pytest.mark.parametrize(
-    "operator", [*UNTIMED, "sliding", "tumbling", "first", "hopping", "present", "throttle", "burst"]
+    "operator",
+    [*UNTIMED, "sliding", "tumbling", "first", "hopping", "present", "session", "throttle", "burst"],
 )
 def test_least_recently_used_keys_are_evicted(operator: str) -> None:
     runner = RuleRunner(

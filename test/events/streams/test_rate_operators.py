@@ -57,6 +57,18 @@ def test_change_passes_different_terms(arrivals: Any, restore_before: Any) -> No
     assert OperatorDriver(DistinctUntilChanged, restore_before).feed(arrivals) == outputs_of(passed)
 
 
+@few_examples
+@given(ARRIVAL_LISTS, RESTORE_POSITIONS)
+def test_change_after_first_passes_no_first_term(arrivals: Any, restore_before: Any) -> None:
+    passed: List[Any] = []
+    for number, arrival in enumerate(arrivals):
+        before = [other for other in arrivals[:number] if other.key == arrival.key]
+        if before and term_key(before[-1].value) != term_key(arrival.value):
+            passed.append(arrival)
+    driver = OperatorDriver(lambda: DistinctUntilChanged(passes_first=False), restore_before)
+    assert driver.feed(arrivals) == outputs_of(passed)
+
+
 def supersedes(other: Any, earlier: Any, span: Any) -> Any:
     """Return whether another element of the key arrived in the span after an element and ends no earlier."""
     return (

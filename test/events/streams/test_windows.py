@@ -18,6 +18,7 @@ from hypothesis import strategies as st
 
 from retalis import RuleError
 from retalis.events.streams.aggregates import AGGREGATES
+from retalis.events.streams.session_window import SessionWindow
 from retalis.events.streams.windows import (
     AlignedTumblingWindow,
     AnchoredTumblingWindow,
@@ -181,6 +182,7 @@ WINDOWS: Dict[str, Callable[[], Any]] = {
     "from the first": lambda: AnchoredTumblingWindow(list_accumulators, 100, False),
     "present": lambda: AlignedTumblingWindow(list_accumulators, 1000),
     "instants": lambda: HoppingWindow(list_accumulators, 100, 50),
+    "sessions": lambda: SessionWindow(list_accumulators, 100, None),
 }
 
 

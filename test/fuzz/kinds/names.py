@@ -8,7 +8,7 @@ import json
 import re
 from typing import Any, List, Tuple
 
-from checked_access import compound
+from asserting_accessors import compound
 
 from retalis import Definitions, atom, functor, to_python
 from retalis.messages.event_text_writer import make_text_writer

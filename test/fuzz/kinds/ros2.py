@@ -6,8 +6,8 @@ from typing import Any, Iterator, List, Tuple
 from retalis import Definitions
 from retalis.messages.event_text_writer import make_text_writer
 from retalis.messages.idl_definitions import convert_idl
-from retalis.messages.ros2_definitions import parse_ros2_type
 from retalis.messages.type_definition import SerializationFormat
+from retalis.messages.type_registry import parse_ros2_type
 from retalis.prolog.syntax.event_text import to_text as text_of
 
 from ..mutate import mutate_text, random_tokens, to_bytes, to_text
@@ -109,6 +109,7 @@ PIECES = (
     "MSG: ",
     "\n---\n",
     f"\n{'=' * 80}\nSRV: pkg/srv/Kind\n",
+    f"\n{'=' * 80}\nACTION: pkg/action/Kind\n",
     f"\n{'=' * 80}\nIDL: pkg/msg/Kind\n",
 )
 MSG_NAMES = (
@@ -121,6 +122,8 @@ MSG_NAMES = (
     "pkg/msg/é",
     "msg/msg/msg",
     "pkg/srv/Kind_Event",
+    "pkg/action/Kind_FeedbackMessage",
+    "pkg/action/Kind_GetResult_Event",
 )
 IDL_PIECES = (
     "module msg {", "module pkg {", "struct Kind {", "struct B : Kind {", "union U switch (long) {", "enum E {",
@@ -151,7 +154,7 @@ class Inputs(Kind):
     def generate(self, rng: Any) -> bytes:
         draw = rng.random()
         if draw < 0.05:
-            name = rng.choice(("pkg/msg/Kind", "pkg/srv/Kind_Event"))
+            name = rng.choice(("pkg/msg/Kind", "pkg/srv/Kind_Event", "pkg/action/Kind_FeedbackMessage"))
             return to_bytes(f"{name}\n{IDL_START}" + random_tokens(rng, IDL_PIECES, 25) + "}; }; };")
         if draw < 0.1:
             return to_bytes(f"{rng.choice(MSG_NAMES)}\n" + random_tokens(rng, PIECES, 15))

@@ -2,7 +2,7 @@
 
 from typing import Any, Tuple
 
-from events.operator_table import AGGREGATES, PAIRS
+from events.operator_table import AGGREGATES, AGGREGATES_WITH_SETTINGS, PAIRS, VALUELESS_AGGREGATES
 
 from ..mutate import mutate_text, random_tokens, to_bytes, to_text
 from .base import ARGUMENTS, LOGGED, Kind, create_silent_engine
@@ -14,6 +14,7 @@ PIECES: Tuple[str, ...] = (
     " within ",
     " cnot ",
     " fnot ",
+    " without ",
     " do ",
     " check ",
     " star_times",
@@ -60,7 +61,7 @@ PIECES += (
     "->",
     ";",
 )
-SIDES = (*PAIRS, "or", "cnot", "fnot")
+SIDES = (*PAIRS, "or", "cnot", "fnot", "without")
 GOALS: Tuple[str, ...] = (
     "where X > 1",
     "where (Y = X, foo(Y))",
@@ -80,18 +81,31 @@ GOALS += (
     "where holds(h(X))",
     "do state(h(X, Y), from(a(X)), until(b(Y)))",
 )
-KINDS = ("count", "list(f(X,Y))", *(f"{name}(X)" for name in AGGREGATES[1:]))
+KINDS = (
+    "list(f(X,Y))",
+    "quantile(0.9,X)",
+    "fold(foo,foo,foo,X)",
+    *VALUELESS_AGGREGATES,
+    *(f"{name}(X)" for name in AGGREGATES if name not in (*VALUELESS_AGGREGATES, *AGGREGATES_WITH_SETTINGS)),
+)
 STREAMS = (
     "aggregate(count, {0}, S, last(2))",
     "aggregate([median(X), list(X)], {0}, S, last(3, events))",
     "aggregate(avg(X), {0}, S, every(2))",
     "aggregate(rate, {0}, S, last(4, every(2)))",
     "aggregate(fold(foo, foo, foo, X), {0}, S, running(every(2, first)))",
+    "aggregate(list(X), {0}, S, session(2))",
+    "aggregate(count, {0}, S, session(1, max(3)))",
     "({0} seq absent(b(X), 2))",
+    "({0} seq absent(b(X), Y))",
+    "({0} with not_preceded(b(X), 2))",
     "({0} with throttle(2, X))",
     "({0} with debounce(1))",
     "({0} with burst(1))",
     "({0} with change(X))",
+    "({0} with change_after_first(X))",
+    "at_end({0})",
+    "at_start({0})",
 )
 EVENTS = ("a(1)", "b(2)", "c", "a(b(3))")
 

@@ -11,6 +11,11 @@ from .base import Kind
 PIECES: Tuple[str, ...] = (
     "<subscribe_to ",
     "<publish_to ",
+    "<observe_action ",
+    "<observe_service ",
+    'action_type="a/B" ',
+    'srv_type="a/B" ',
+    'event="',
     'name="',
     'msg_type="',
     "/>",

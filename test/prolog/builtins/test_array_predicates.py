@@ -5,7 +5,7 @@ from typing import Any, List
 
 import numpy as np
 import pytest
-from checked_access import lazy
+from asserting_accessors import lazy
 from hypothesis import given
 from hypothesis import strategies as st
 from prolog.support import prolog

@@ -1,9 +1,12 @@
 """Listing of clauses, and messages."""
 
+import logging
 from typing import Any, List
 
 import pytest
 from prolog.support import answers, first, prolog
+
+from retalis.prolog.builtins.listing_and_messages import MAX_LOGGED_CHARACTERS
 
 PROGRAM = r"""
 laid(X) :- ( X > 1 -> foo, bar ; X = 2, \+ baz -> true ; qux ).
@@ -52,3 +55,24 @@ def test_messages_are_sent_by_kind(monkeypatch: pytest.MonkeyPatch) -> None:
     assert answers(logic, 'print_message(warning, format("low: ~w", [3])), print_message(silent, x)') == [{}]
     assert messages == [("warning", "Warning: low: 3\n")]
     assert answers(logic, "assertion(1 > 2)") == ["assertion_error(fail,user:(1>2))"]
+
+
+@pytest.mark.parametrize(
+    ("name", "level"),
+    [
+        ("log_debug", logging.DEBUG),
+        ("log_info", logging.INFO),
+        ("log_warn", logging.WARNING),
+        ("log_error", logging.ERROR),
+    ],
+)
+def test_goal_logs_with_level(name: str, level: int, caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level(logging.DEBUG, "retalis.goals")
+    assert answers(prolog(), f"{name}('~w %d at ~1f', [room, 2.5])") == [{}]
+    assert caplog.record_tuples == [("retalis.goals", level, "room %d at 2.5")]
+
+
+def test_long_logged_text_is_shortened(caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level(logging.INFO, "retalis.goals")
+    assert answers(prolog(), "log_info('~*c', [10000, 0'x])") == [{}]
+    assert caplog.messages == ["x" * MAX_LOGGED_CHARACTERS + "..."]

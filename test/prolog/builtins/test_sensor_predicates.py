@@ -6,7 +6,7 @@ from base64 import b64encode
 from typing import Any, Dict, List, Optional, Tuple
 
 import pytest
-from checked_access import compound
+from asserting_accessors import compound
 
 numpy = pytest.importorskip("numpy")
 from hypothesis import given  # noqa: E402

@@ -3,8 +3,8 @@
 from typing import Any, Iterator, List, Tuple
 
 import pytest
-from checked_access import name_of
-from checked_access import number as number_of
+from asserting_accessors import name_of
+from asserting_accessors import number as number_of
 from prolog.support import NEVER, answers, prolog
 
 from retalis import PrologError, atom, deref, functor

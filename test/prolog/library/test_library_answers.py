@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import Any, List
 
 import pytest
-from checked_access import compound
+from asserting_accessors import compound
 from prolog.support import show
 
 from retalis import PrologError, atom, functor, make_list

@@ -6,7 +6,7 @@ from typing import Any, Dict, Iterator, List, Optional, Tuple
 from unittest.mock import patch
 
 import pytest
-from checked_access import required
+from asserting_accessors import required
 from hypothesis import given, settings
 from hypothesis import strategies as st
 

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any, Dict, List
 
 import pytest
-from checked_access import compound
+from asserting_accessors import compound
 from checked_threads import CheckedThread
 
 from retalis import Limits, PrologError, RetalisError, Var, deref, functor

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from python_path import python_path
 from source import ROOT
+from subprocess_python_path import python_path
 
 from retalis import Engine, ProgramErrors, RetalisError, Settings, UsageError
 from retalis.prolog.swi import libswipl
@@ -172,7 +172,7 @@ def test_restored_engine_loads_swi_file_again(swi: SwiLibrary, tmp_path: Path) -
     data = engine.snapshot()
     restored = Engine.restore(data, settings=ALLOWED, folder=tmp_path)
     assert restored.query("known(X)") == [{"X": 0}]
-    with pytest.raises(UsageError, match="not in a folder of its own"):
+    with pytest.raises(UsageError, match="outside of the program's folder"):
         Engine.restore(data, settings=ALLOWED)
     with pytest.raises(UsageError, match="allow_swi is off"):
         Engine.restore(data, folder=tmp_path)

@@ -4,7 +4,7 @@ import re
 from typing import Any, List
 
 import pytest
-from checked_access import compound, items
+from asserting_accessors import compound, items
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from reachable_objects import count_entries, reachable

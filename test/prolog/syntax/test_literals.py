@@ -3,7 +3,7 @@
 from typing import Any, Optional
 
 import pytest
-from checked_access import place_of
+from asserting_accessors import place_of
 
 from retalis import Operators, SyntaxFault
 from retalis.prolog.syntax.event_text import EventReader

@@ -3,7 +3,7 @@
 from typing import Any, List
 
 import pytest
-from checked_access import compound
+from asserting_accessors import compound
 from parsing import read_clauses
 
 from retalis import Operators

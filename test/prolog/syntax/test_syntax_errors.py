@@ -3,7 +3,7 @@
 from typing import Any, List
 
 import pytest
-from checked_access import compound, place_of, required
+from asserting_accessors import compound, place_of, required
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -211,7 +211,7 @@ PIECES = st.sampled_from(
 
 
 @pytest.mark.slow
-@settings(max_examples=700, deadline=None)
+@settings(max_examples=200, deadline=None)
 @given(st.lists(st.one_of(PIECES, st.just(" ")), max_size=25).map("".join) | st.text(max_size=30))
 def test_any_text_is_read_or_is_a_syntax_error(text: Any) -> None:
     for entry in read_program(text, OPERATORS):

@@ -4,7 +4,7 @@ import math
 from typing import Any
 
 import pytest
-from checked_access import compound
+from asserting_accessors import compound
 
 from retalis import Operators, String, SyntaxFault, atom, make_list
 from retalis.prolog.syntax.event_text import to_text

@@ -130,7 +130,7 @@ def check_written(logic: Any, term: Any) -> None:
 
 
 @pytest.mark.slow
-@settings(max_examples=400, deadline=None)
+@settings(max_examples=100, deadline=None)
 @given(clauses.filter(lambda term: not any(map(_is_written_differently, shape(term)))), operator_tables())
 def test_written_clause_is_read_as_same_term(term: Any, operators: Any) -> None:
     logic = PrologSystem()

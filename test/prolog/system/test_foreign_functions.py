@@ -8,7 +8,7 @@ from typing import Any, Dict, Iterator, List, Optional, Tuple
 
 import numpy
 import pytest
-from checked_access import compound, lazy
+from asserting_accessors import compound, lazy
 from recording_reports import RecordingReports
 
 from retalis import (

@@ -3,7 +3,7 @@
 from typing import Any, Iterator
 
 import pytest
-from checked_access import required
+from asserting_accessors import required
 from prolog.support import answers, prolog
 
 from retalis import deref

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from checked_access import lazy
+from asserting_accessors import lazy
 
 from retalis import PrologError, String, Var, atom, deref, make_list
 from retalis.prolog.builtins.argument_checks import array_of

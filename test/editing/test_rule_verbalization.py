@@ -1,0 +1,224 @@
+"""Readings of rules in words."""
+
+from pathlib import Path
+from typing import List
+
+import pytest
+
+from retalis.editing.clause_reader import ClauseReader, ParsedClause
+from retalis.editing.rule_verbalization import describe_rule, read_program
+from retalis.events.language.event_operators import EVENT_OPERATORS, OperatorKind
+from retalis.events.language.rule_heads import ALARMS, HEAD_READINGS, SYNCHRONIZED
+from retalis.events.language.rule_labels import KNOWN_PROPERTIES, PROPERTY_READINGS
+from retalis.events.streams.aggregates import AGGREGATES, AggregateFunction
+from retalis.events.streams.rate_operators import RATE_OPERATORS
+
+
+def reading(text: str) -> List[str]:
+    (clause,) = ClauseReader(text, "rules")
+    assert isinstance(clause, ParsedClause)
+    return describe_rule(clause).split("\n")
+
+
+def test_conditions_follow_pattern() -> None:
+    assert reading("near(A) <- (at(A, X) and at(_, X)) within 5 where A > 1.") == [
+        "`near(A)` is emitted when",
+        "- `at(A, X)` and `at(_, X)` happened, in any order",
+        "- and took less than 5 s",
+        "- and goal `A>1` has a solution",
+    ]
+
+
+def test_operands_that_are_patterns_are_nested() -> None:
+    assert reading("label : x <- (a or b) seq absent(c, 3).") == [
+        "`x` is emitted when",
+        "- 3 s have passed since **P** ended, with no `c` between",
+        "  - **P**:",
+        "    - `a` or `b` happened",
+    ]
+
+
+def test_single_event_happened() -> None:
+    assert reading("x <- y(1).") == ["`x` is emitted when", "- `y(1)` happened"]
+
+
+def test_constant_of_message_has_no_quotes() -> None:
+    text = "hot <- reading(L) where L >= pkg__0__T{ERROR}"
+    assert "goal `L>=pkg__0__T{ERROR}` has a solution" in reading(f"{text}.")[1]
+
+
+def test_named_slots_are_written_as_in_program() -> None:
+    message = "nav_msgs__0__Odometry{twist: {twist: {linear: {x: V}, angular: {z: 0}}}}"
+    assert reading(f"moved(V) <- {message}.")[1] == f"- `{message}` happened"
+    assert reading("x <- f(a:1, b:{c:2, d:3}).")[1] == "- `f(a:1, b:{c:2, d:3})` happened"
+
+
+def test_time_to_live_of_zero_is_never() -> None:
+    line = "- label `k`: partial matches and keys are never dropped for their age"
+    assert reading("k([property(ttl, 0)]) : x <- y(R) with change(R).")[2] == line
+
+
+def test_declared_states_have_readings(tmp_path: Path) -> None:
+    rules = tmp_path / "rules.txt"
+    rules.write_text("x <- y.\n:- state(low(R), from(b(R)), until(c), [within(90)]).\nz <- low(_).\n")
+    readings = [(item.name, item.line) for item in read_program(str(rules))]
+    assert readings == [("x", 1), ("low(R)", 2), ("z", 3)]
+    assert list(read_program(str(rules)))[1].text.split("\n") == [
+        "`low(R)` holds, and is emitted when it ends,",
+        "- from the end of `b(R)`",
+        "- until `c`, at most 1 min 30 s",
+    ]
+
+
+def test_rate_has_words_of_its_notation() -> None:
+    assert reading("x <- y with debounce(2).")[1] == "- `y` happened, and no other `y` for 2 s after it"
+
+
+@pytest.mark.parametrize("text", ["a(1).", "p :- q.", ":- dynamic f/1."])
+def test_other_clauses_have_no_reading(text: str) -> None:
+    assert reading(text) == [""]
+
+
+def test_long_pattern_is_shortened() -> None:
+    lines = reading(f"x <- {' seq '.join(f'(a{number} or b)' for number in range(100))}.")
+    assert len(lines) < 40
+    assert lines[-1] == "- ..."
+
+
+def test_durations_have_units() -> None:
+    assert reading("x <- a seq absent(b, 5000).")[1] == (
+        "- 1 h 23 min 20 s have passed since `a` ended, with no `b` between"
+    )
+    assert reading("x <- a with not_preceded(b, 90).")[1] == (
+        "- `a` happened, and no `b` ended in the 1 min 30 s before `a` started"
+    )
+    assert reading("x(N) <- n(N) seq absent(b, N).")[1].startswith("- `N` seconds have")
+    assert reading("x(N) <- n(N) seq absent(b, 0.25).")[1].startswith("- 250 ms have")
+
+
+def test_window_has_words_of_its_measures() -> None:
+    assert reading("x(L, H) <- aggregate([min(T), quantile(0.9, T)], t(T), [L, H], last(90)).")[1] == (
+        "- `t(T)` happened; `L` is the smallest `T`, `H` is the quantile `0.9` of `T` in the last 1 min 30 s"
+    )
+    assert reading("x(R) <- aggregate([count, avg(T)], a(T) or b(T), R, every(60, first)).")[1:] == [
+        "- 1 min have passed since a first **Q**; `R` is the list of the number of **Q**, the average of `T` in this "
+        "time",
+        "  - **Q**:",
+        "    - `a(T)` or `b(T)` happened",
+    ]
+
+
+def test_sessions_have_words_for_both_notations() -> None:
+    assert reading("x(N) <- aggregate(count, a(_), N, session(90)).")[1] == (
+        "- no `a(_)` has happened for 1 min 30 s; `N` is the number of `a(_)` in the `a(_)` since the last such pause"
+    )
+    assert reading("x(N) <- aggregate(count, a(_), N, session(90, max(600))).")[1] == (
+        "- no `a(_)` has happened for 1 min 30 s, or 10 min have passed since the first of them; `N` is the number "
+        "of `a(_)` in them"
+    )
+
+
+def test_steps_have_a_line_each() -> None:
+    text = "x <- aggregate(count, v(V), _, steps([low, later(high(2, many, until(V < 1))) where V > 3]))."
+    assert reading(text)[1:] == [
+        "- `v(V)` happened by these steps",
+        "  - `low`: once",
+        "  - `high`: after any others, 2 times or more, until goal `V<1` has a solution, "
+        "where goal `V>3` has a solution",
+    ]
+
+
+def test_repeated_aggregate_has_words_of_its_measure() -> None:
+    assert reading("x(M) <- walk seq aggregate(max(D), step(D), M).")[1] == (
+        "- `walk` happened, and again at each later `step(D)`; `M` is the largest `D` since `walk`"
+    )
+
+
+def test_operators_right_of_rate_operator_follow_it() -> None:
+    assert reading("x <- y(R) with throttle(60, R) where g(R).")[1:] == [
+        "- `y(R)` happened, at most once in 1 min for each `R`",
+        "- and goal `g(R)` has a solution",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("text", "first_line"),
+    [
+        ("null do g(X) <- b(X).", "goal `g(X)` is called when"),
+        ("b(X) do g(X).", "goal `g(X)` is called when"),
+        ("h(X) do g <- b(X).", "goal `g` is called, and if it succeeds, `h(X)` is emitted when"),
+        ("exceptionAlarm(h, 90) <- b.", "`h` is emitted 1 min 30 s after the end of this match:"),
+        ("exceptionAlarmAbsoluteDatime(h, T) <- b(T).", "`h` is emitted at `T`, after this match:"),
+        (
+            "syncronized(h, g, [[m, T]]) <- b(T).",
+            "`h` is emitted if goal `g` has a solution when the data of `[[m, T]]` have arrived, after this match:",
+        ),
+    ],
+)
+def test_head_has_words_of_its_form(text: str, first_line: str) -> None:
+    assert reading(text)[0] == first_line
+
+
+def test_properties_of_label_follow_pattern() -> None:
+    assert reading("slow([property(window, 90), property(watermark_delay, auto)]) : x <- y.")[2:] == [
+        "- label `slow`: a match takes at most 1 min 30 s",
+        "- label `slow`: deadlines and windows wait `auto` for late events",
+    ]
+
+
+def test_deep_pattern_is_shortened() -> None:
+    conditions = " where g" * 5000
+    assert reading(f"x <- y{conditions}.")[1] == "- ..."
+
+
+def has_own_words(pattern: str) -> bool:
+    lines = reading(f"x <- {pattern}.")
+    return f"- `{pattern}` happened" not in lines and "as `" not in lines[1]
+
+
+def test_each_notation_of_operators_has_words() -> None:
+    for operator in EVENT_OPERATORS:
+        rows = [notation for row in operator.table_rows for notation in row.notation.split("`")[1::2]]
+        if operator.kind not in (OperatorKind.RULE, OperatorKind.UNSUPPORTED) and not rows:
+            assert operator.readings or operator.name == "fnot", operator.name
+        for notation in [*rows, *(row.notation for row in operator.readings)]:
+            assert has_own_words(notation), notation
+
+
+@pytest.mark.parametrize("name", RATE_OPERATORS)
+def test_each_rate_operator_has_words(name: str) -> None:
+    assert has_own_words(f"y(X, K) with {name}(2)")
+    assert has_own_words(f"y(X, K) with {name}(2, K)")
+
+
+@pytest.mark.parametrize("function", AGGREGATES.values(), ids=lambda function: str(function.name))
+def test_each_aggregate_has_words(function: AggregateFunction) -> None:
+    line = reading(f"x(R) <- aggregate({function.notation}, y(X), R, last(5)).")[1]
+    assert line.startswith("- `y(X)` happened; `R` is the ")
+    assert f"`R` is `{function.notation}`" not in line
+
+
+WINDOWS = [
+    "last(5)",
+    "last(5, events)",
+    "last(6, every(2))",
+    "every(5)",
+    "every(5, first)",
+    "every(5, events)",
+]
+
+
+@pytest.mark.parametrize(
+    "window", [*WINDOWS, *(f"running({window})" for window in WINDOWS[3:]), "steps([a])"]
+)
+def test_each_window_has_words(window: str) -> None:
+    assert has_own_words(f"aggregate(count, y, R, {window})")
+
+
+def test_each_property_has_words() -> None:
+    assert sorted(PROPERTY_READINGS) == sorted(KNOWN_PROPERTIES)
+
+
+def test_each_delayed_head_has_words() -> None:
+    named = {notation.partition("(")[0] for notation, _ in HEAD_READINGS}
+    assert named == {functor.name for functor in (*ALARMS, *SYNCHRONIZED)}

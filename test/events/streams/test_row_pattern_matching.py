@@ -1,0 +1,174 @@
+"""Row patterns in rules: matches, limits and errors."""
+
+import pytest
+from events.program_runner import ProgramRunner, outputs_of
+
+from retalis import ProgramErrors
+
+RISING = "up(M) <- aggregate(count, r(M,V), _, steps([low where V < 3, high where V >= 3]))."
+STARS = "s(L) <- aggregate(list(X), e(X), L, steps([{}]))."
+
+
+@pytest.mark.parametrize(
+    ("steps", "expected"),
+    [
+        ("a(2) where X < 5", "s([1,2])@0-1 s([3,4])@2-3 s([1,2])@5-6"),
+        ("a(1, many) where X < 4", "s([1,2,3])@0-3"),
+        ("a(1, many, reluctant), b where X > 3", "s([1,2,3,4])@0-3"),
+        ("a, b(0, 1) where X = 9", "s([1])@0-1 s([2])@1-2 s([3])@2-3 s([4,9])@3-4 s([1])@5-6 s([2])@6-7"),
+        ("a where X = 1, later(b) where X > 3", "s([1,4])@0-3"),
+        ("later(a(1, many, until(X > 3)))", "s([1,2,3])@0-3"),
+        ("a(3) where X > prev(X)", "s([1,2,3])@0-2"),
+        ("a(2, many) where (X > prev(X), X - first(X) < 3)", "s([1,2,3])@0-3 s([1,2])@5-7"),
+        ("a where X = 9, b(2) where X < first(a, X)", "s([9,1,2])@4-6"),
+        ("a(2), b where X > last(a, X)", "s([1,2,3])@0-2 s([9,1,2])@4-6"),
+    ],
+)
+def test_row_pattern_matches_stream(steps: str, expected: str) -> None:
+    stream = [1, 2, 3, 4, 9, 1, 2, 0]
+    assert (
+        outputs_of(STARS.format(steps), " ".join(f"e({x})@{second}" for second, x in enumerate(stream)))
+        == expected
+    )
+
+
+def test_each_key_has_own_row_pattern() -> None:
+    assert outputs_of(RISING, "r(a,1)@1 r(b,5)@2 r(a,4)@3 r(b,1)@4 r(b,3)@5") == "up(a)@1-3 up(b)@4-5"
+
+
+def test_row_pattern_may_be_nested() -> None:
+    rule = "both(M) <- aggregate(count, r(M,V), _, steps([low where V < 3, high where V >= 3])) seq ok(M)."
+    assert outputs_of(rule, "r(a,1)@1 ok(a)@2 r(a,4)@3 ok(b)@4 ok(a)@5") == "both(a)@1-5"
+    rule = "two(L) <- aggregate(list(A+B), (p(A) seq q(B)), L, steps([one(2)]))."
+    assert outputs_of(rule, "p(1)@1 q(2)@2 p(3)@3 q(4)@4") == "two([+(1,2),+(3,4)])@1-4"
+
+
+@pytest.mark.parametrize("flag", ["revision_flag", "etalis_justification"])
+@pytest.mark.parametrize("policy", ["recent", "chronological", "unrestricted"])
+def test_flags_and_policies_keep_row_pattern_matches(flag: str, policy: str) -> None:
+    assert outputs_of(RISING, "r(a,1)@1 r(a,4)@3", policy, [flag]) == "up(a)@1-3"
+
+
+def test_retraction_of_deciding_event_retracts_match() -> None:
+    program = ProgramRunner(STARS.format("a(1, many) where X < 3"), ["revision_flag"])
+    assert program.feed("e(1)@1 e(2)@2 e(7)@3") == "s([1,2])@1-3"
+    assert program.feed("rev(e(7))@3") == "rev(s([1,2]))@3-3"
+    assert program.feed("e(8)@4") == "s([1,2])@1-4"
+
+
+def test_skipped_events_are_not_stored() -> None:
+    program = ProgramRunner(STARS.format("a, later(b) where X > 5"))
+    program.feed(" ".join(f"e(1)@{second}" for second in range(50)))
+    (rule,) = program.engine.rules.rules
+    assert rule.match_count == 1
+    assert program.feed("e(6)@50") == "s([1,6])@0-50"
+
+
+def test_number_of_starts_is_not_limited() -> None:
+    """The limit of alternative matches applies to each start, not to all starts together."""
+    program = ProgramRunner("o(N) <- aggregate(count, a(T), N, steps([p(101) where T > 0, n where T < 0])).")
+    program.feed(" ".join(f"a(1)@{second}" for second in range(201)))
+    assert program.feed("a(-1)@201") == "o(102)@100-201"
+    assert program.warnings == []
+
+
+def test_starts_with_navigation_are_not_limited() -> None:
+    steps = "a(1, many) where (X >= first(X), X < 1000), b where X =:= first(a, X) + 1000"
+    program = ProgramRunner(STARS.format(steps))
+    program.feed(" ".join(f"e({x})@{x}" for x in range(150)))
+    assert program.feed("e(1147)@150") == "s([147,148,149,1147])@147-150"
+    assert program.warnings == []
+
+
+AMBIGUOUS_STEPS = (
+    "a(1, many) where X >= 0, b(1, many) where X >= 0, c where X =:= first(b, X), later(d) where X = 500"
+)
+"""The variable b may begin at each event after the first, and c refers to its first event."""
+
+
+def test_alternatives_of_start_are_limited() -> None:
+    program = ProgramRunner(STARS.format(AMBIGUOUS_STEPS))
+    program.feed(" ".join(f"e({second})@{second}" for second in range(100)))
+    assert program.warnings == []
+    program.feed(" ".join(f"e({second})@{second}" for second in range(100, 150)))
+    assert "more than 100 ways to take its steps from one start; 1 have been" in str(program.warnings[0])
+    (rule,) = program.engine.rules.rules
+    assert rule.match_count == 150
+    # the alternative in which b begins with 10 exceeds the limit, and the one in which it begins with 140 does not
+    assert program.feed("e(10)@150 e(500)@151 e(-1)@152") == ""
+    program.feed(" ".join(f"e({second})@{second + 200}" for second in range(150)))
+    assert program.feed("e(140)@350 e(-1)@351 e(500)@352").endswith(",149,140,500])@200-352")
+
+
+def test_partial_matches_are_limited() -> None:
+    """The elements and the alternatives of each start count."""
+    program = ProgramRunner(STARS.format(AMBIGUOUS_STEPS))
+    program.engine.rules.network.limit_stored(50)
+    (rule,) = program.engine.rules.rules
+    for second in range(120):
+        program.feed(f"e({second})@{second}")
+        assert rule.match_count <= 50
+    assert rule.dropped_count
+    assert "has more than 50 partial matches" in str(program.warnings[0])
+
+
+@pytest.mark.parametrize(
+    ("steps", "expected"),
+    [
+        # y may follow, although the match ends before y could match an event
+        ("later(x(1, 2, until(X =:= 9))) where X > 0, y(0, 1, reluctant) where X < 0", "s([1])@0-1"),
+        ("later(x(1, 2, until(X =:= 9))) where X > 0, later(y(0, 1, reluctant)) where X < 0", "s([1])@0-1"),
+        ("later(x(1, 2, until(X =:= 9))) where X > 0, y(0, 1, reluctant) where X < -5", "s([1,3])@0-2"),
+        (
+            "later(x(1, 2, until(X =:= 9))) where X > 0, y(0, 1) where X =:= 7, z(0, 1, reluctant) where X < 0",
+            "s([1])@0-1",
+        ),
+    ],
+)
+def test_trailing_reluctant_variable_may_follow(steps: str, expected: str) -> None:
+    assert outputs_of(STARS.format(steps), "e(1)@0 e(-2)@1 e(3)@2") == expected
+
+
+def test_variable_without_later_follows_directly() -> None:
+    steps = "later(x(1, 2, until(X =:= 9))) where X > 0, {} where X < 0"
+    stream = "e(1)@0 e(0)@1 e(-2)@2 e(3)@3"
+    assert outputs_of(STARS.format(steps.format("y(0, 1, reluctant)")), stream) == "s([1,3])@0-3"
+    assert outputs_of(STARS.format(steps.format("later(y(0, 1, reluctant))")), stream) == "s([1])@0-2"
+
+
+def test_error_of_condition_refuses_event() -> None:
+    program = ProgramRunner("s(L) <- aggregate(list(X), e(X), L, steps([a, b where X > prev(X)])).")
+    assert program.feed("e(1)@1 e(x)@2 e(2)@3") == "s([1,2])@1-3"
+    assert ["the condition of the step b: " in str(error) for error in program.errors] == [True]
+
+
+def test_error_in_until_is_reported() -> None:
+    program = ProgramRunner("s(L) <- aggregate(list(X), e(X), L, steps([a(1, many, until(X > nine))])).")
+    assert program.feed("e(1)@1") == ""
+    assert ["until of the step a: " in str(error) for error in program.errors] == [True]
+
+
+def test_parts_of_condition_share_variables() -> None:
+    steps = "a(2, many) where (X > 1, span(N), X < 9, X - first(X) < N)"
+    stream = "e(1)@1 e(2)@2 e(5)@3 e(6)@4 e(9)@5"
+    assert outputs_of("span(4).\n" + STARS.format(steps), stream) == "s([2,5])@2-4"
+
+
+def test_condition_with_outer_pattern_is_refused() -> None:
+    with pytest.raises(ProgramErrors, match="a condition of a step uses a pattern to the left"):
+        ProgramRunner("s(L) <- x(Y) seq aggregate(list(X), e(X), L, steps([a where X > Y])).")
+
+
+@pytest.mark.parametrize(
+    "steps", ["a(1, many)", "a where X = 1, b(0, many), c where X = 2", "later(a(2, many))"]
+)
+def test_endless_variable_is_refused(steps: str) -> None:
+    with pytest.raises(ProgramErrors, match="nothing ends the step"):
+        ProgramRunner(STARS.format(steps))
+
+
+def test_preferred_alternatives_replace_certain_match() -> None:
+    program = ProgramRunner(STARS.format(AMBIGUOUS_STEPS))
+    program.feed(" ".join(f"e({x})@{x}" for x in range(101)) + " e(1)@200 e(-1)@300")
+    assert program.warnings
+    assert program.feed("e(5)@301 e(6)@302 e(6)@303 e(500)@304 e(-2)@305") == "s([5,6,6,500])@301-305"
