@@ -257,15 +257,35 @@ def report(poses: Poses, bag: Path, seen: Collection[str]) -> bool:
     return good == len(comparisons)
 
 
+def positive_number(text: str) -> float:
+    """Return the number in a command-line argument.
+
+    Raises:
+        argparse.ArgumentTypeError: if it is not positive.
+    """
+    try:
+        number = float(text)
+    except ValueError:
+        number = 0.0
+    if not 0 < number < float("inf"):
+        raise argparse.ArgumentTypeError(f"expected a positive number, found '{text}'")
+    return number
+
+
+def add_bag_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments for the simulated bag and its speed."""
+    parser.add_argument(
+        "--seconds", type=positive_number, default=20.0, help="length of the simulated bag (default 20)"
+    )
+    parser.add_argument("--seed", type=int, default=1, help="another seed gives another run (default 1)")
+    parser.add_argument("--rate", type=positive_number, default=1.0, help="speed of the bag (default 1)")
+
+
 def arguments(argv: Optional[Sequence[str]]) -> argparse.Namespace:
     """Parse the command line."""
     parser = argparse.ArgumentParser(prog="demo", description=__doc__.split("\n\n")[0])
     parser.add_argument("--bag", type=Path, metavar="FILE", help="play this bag instead of a simulated one")
-    parser.add_argument(
-        "--seconds", type=float, default=20.0, help="length of the simulated bag (default 20)"
-    )
-    parser.add_argument("--seed", type=int, default=1, help="another seed gives another run (default 1)")
-    parser.add_argument("--rate", type=float, default=1.0, help="speed of the bag (default 1)")
+    add_bag_arguments(parser)
     parser.add_argument(
         "--input", choices=sorted(INPUTS), default="topics",
         help="way in: direct (node retalis subscribes), embedded (one node), or as text between the nodes (default)",
@@ -273,8 +293,6 @@ def arguments(argv: Optional[Sequence[str]]) -> argparse.Namespace:
     options = parser.parse_args(argv)
     if options.bag and not options.bag.is_file():
         parser.error(f"no such file: {options.bag}")
-    if options.seconds <= 0 or options.rate <= 0:
-        parser.error("seconds and rate must be positive numbers")
     return options
 
 

@@ -154,15 +154,8 @@ def play(messages: Sequence[Message], rate: float, expected: int, node: Node, al
 def parse_arguments(argv: Optional[Sequence[str]]) -> argparse.Namespace:
     """Parse the command line."""
     parser = argparse.ArgumentParser(prog="demo --ros2", description=__doc__.split("\n\n")[0])
-    parser.add_argument(
-        "--seconds", type=float, default=20.0, help="length of the simulated bag (default 20)"
-    )
-    parser.add_argument("--seed", type=int, default=1, help="another seed gives another run (default 1)")
-    parser.add_argument("--rate", type=float, default=1.0, help="speed of the bag (default 1)")
-    options = parser.parse_args(argv)
-    if options.seconds <= 0 or options.rate <= 0:
-        parser.error("seconds and rate must be positive numbers")
-    return options
+    demo.add_bag_arguments(parser)
+    return parser.parse_args(argv)
 
 
 def main(argv: Optional[Sequence[str]] = None) -> int:
