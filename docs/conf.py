@@ -92,11 +92,14 @@ COOKBOOK_FILES = {
     "eventRules.txt": ("prolog", "The rules."),
     "goalPredicates.txt": ("prolog", "The goals that are called at the start."),
     "pub_sub.xml": ("xml", "The topics."),
-    "messages.py": ("python", "The messages of the test bag."),
-    "expected.txt": ("outputs", "The outputs of the program over this bag."),
+    "tests/{program}.yaml": ("yaml", "The test cases, with the expected outputs."),
+    "messages.py": ("python", "The messages of a bag."),
     "node.py": ("python", "The same as a rospy node."),
 }
-"""Files of a cookbook program in the order of its page, with their languages and descriptions."""
+"""Files of a cookbook program in the order of its page, with their languages and descriptions.
+
+``{program}`` stands for the name of the program.
+"""
 
 PAGES_ELSEWHERE = {ROOT / "CONTRIBUTING.md": "contributing"}
 """Files that a page of the site includes, and the names of these pages."""
@@ -214,9 +217,11 @@ def add_program_files(app: Sphinx, name: str, source: List[str]) -> None:
     source[0] += (
         "\n## Files\n\nTo try the program in a clone:\n\n```bash\n"
         f"python3 examples/cookbook/make_bag.py {path}\n"
-        f"PYTHONPATH=src python3 -m retalis bag {path}/{folder.name}.bag --program {path}\n```\n"
+        f"PYTHONPATH=src python3 -m retalis bag {path}/{folder.name}.bag --program {path}\n"
+        f"PYTHONPATH=src python3 -m retalis test {path}\n```\n"
     )
-    for file, (language, description) in COOKBOOK_FILES.items():
+    for file_pattern, (language, description) in COOKBOOK_FILES.items():
+        file = file_pattern.format(program=folder.name)
         source[0] += (
             f"\n{description}\n\n```{{literalinclude}} {file}\n:language: {language}\n:caption: {file}\n```\n"
         )

@@ -8,6 +8,7 @@ omitted. Imports for annotations only (``if TYPE_CHECKING:``) are ignored.
 """
 
 import ast
+from functools import cached_property, lru_cache
 from html import escape
 from pathlib import Path
 from typing import Dict, Iterable, Iterator, List, NamedTuple, Optional, Set, Tuple
@@ -21,16 +22,12 @@ GENERATED = ("msg", "srv")
 
 
 class Module:
-    """A source file and its imports.
+    """A source file and its imports. It is parsed when it is needed, because tests need a few of all files.
 
     Attributes:
         path: the file.
         name: dotted name below ``retalis``.
         package: dotted name of its package below ``retalis``.
-        tree: its syntax tree.
-        nodes: all nodes of the tree.
-        imports: ``(module, name)`` of each import at run time, in functions too; name is None for whole modules.
-        annotation_imports: the same for imports that only annotations use (``if TYPE_CHECKING:``).
     """
 
     def __init__(self, path: Path):
@@ -39,11 +36,30 @@ class Module:
         parts = path.relative_to(SOURCE).with_suffix("").parts
         self.name = ".".join(parts[:-1] if is_package else parts)
         self.package = ".".join(parts[:-1])
-        self.tree = ast.parse(path.read_text(encoding="utf-8"))
-        self.nodes = list(ast.walk(self.tree))
-        nodes_at_run_time = list(_nodes_at_run_time(self.tree))
-        self.imports = list(self._imports(nodes_at_run_time))
-        self.annotation_imports = list(self._imports(set(self.nodes).difference(nodes_at_run_time)))
+
+    @cached_property
+    def tree(self) -> ast.Module:
+        """The syntax tree."""
+        return ast.parse(self.path.read_text(encoding="utf-8"))
+
+    @cached_property
+    def nodes(self) -> List[ast.AST]:
+        """All nodes of the tree."""
+        return list(ast.walk(self.tree))
+
+    @cached_property
+    def _nodes_at_run_time(self) -> List[ast.AST]:
+        return list(_nodes_at_run_time(self.tree))
+
+    @cached_property
+    def imports(self) -> List[Tuple[str, Optional[str]]]:
+        """``(module, name)`` of each import at run time, in functions too; name is None for whole modules."""
+        return list(self._imports(self._nodes_at_run_time))
+
+    @cached_property
+    def annotation_imports(self) -> List[Tuple[str, Optional[str]]]:
+        """The same for imports that only annotations use (``if TYPE_CHECKING:``)."""
+        return list(self._imports(set(self.nodes).difference(self._nodes_at_run_time)))
 
     def _imports(self, nodes: Iterable[ast.AST]) -> Iterator[Tuple[str, Optional[str]]]:
         for node in nodes:
@@ -95,19 +111,22 @@ PACKAGES = sorted(
     {module.package for module in MODULES.values() if module.package and module.path.name != "__init__.py"}
 )
 
-CROSS_PACKAGE_IMPORTS = [
-    (module, MODULES[target])
-    for module in MODULES.values()
-    for target in module.own_imports()
-    if MODULES[target].package != module.package
-]
-"""Importing and imported module of each import from another package."""
+
+@lru_cache(maxsize=1)
+def cross_package_imports() -> List[Tuple[Module, Module]]:
+    """Return the importing and the imported module of each import from another package."""
+    return [
+        (module, MODULES[target])
+        for module in MODULES.values()
+        for target in module.own_imports()
+        if MODULES[target].package != module.package
+    ]
 
 
 def package_imports() -> Dict[str, Set[str]]:
     """Return the packages that each package imports."""
     imported: Dict[str, Set[str]] = {package: set() for package in PACKAGES}
-    for module, target in CROSS_PACKAGE_IMPORTS:
+    for module, target in cross_package_imports():
         if module.package in imported and target.package in imported:
             imported[module.package].add(target.package)
     return imported

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Write the files that colour rules and goals in vim and VS Code, from the tables of operators.
+"""Write the files for rules and goals in vim and VS Code, from the tables of operators.
 
     PYTHONPATH=src docs/editors/make.py    # writes docs/editors/vim and docs/editors/vscode
 
@@ -147,13 +147,38 @@ def extension() -> Dict[str, object]:
     return {
         "name": "retalis",
         "displayName": "retalis",
-        "description": "Colours event rules and goals of retalis.",
-        "version": "1.0.0",
+        "description": "Event rules and goals of retalis: colours, errors while typing, completion, navigation.",
+        "version": "1.1.0",
         "publisher": "retalis",
         "license": "GPL-3.0-or-later",
-        "engines": {"vscode": "^1.40.0"},
-        "categories": ["Programming Languages"],
+        "private": True,
+        "engines": {"vscode": "^1.82.0"},
+        "categories": ["Programming Languages", "Formatters", "Linters"],
+        "main": "./extension.js",
+        "files": ["extension.js", "language-configuration.json", "syntaxes"],
+        "activationEvents": [f"workspaceContains:**/{name}" for name in FILES],
+        "dependencies": {"vscode-languageclient": "^9.0.1"},
+        # The check of a program calls its goals.
+        "capabilities": {
+            "untrustedWorkspaces": {
+                "supported": False,
+                "description": "A program is checked by calling the goals and directives of its files.",
+            }
+        },
         "contributes": {
+            "configuration": {
+                "title": "retalis",
+                "properties": {
+                    "retalis.command": {
+                        "type": "array",
+                        "items": {"type": "string"},
+                        "minItems": 1,
+                        "default": ["retalis"],
+                        "scope": "machine-overridable",
+                        "description": "The command retalis, for example with its path.",
+                    }
+                },
+            },
             "languages": [
                 {
                     "id": "retalis",
