@@ -128,6 +128,7 @@ DEPENDENCIES = {
     "geometry_msgs": "python3-geometry-msgs",
     "launch": "",
     "launch_ros": "",
+    "lifecycle_msgs": "pip",
     "message_generation": "ros-message-generation",
     "message_runtime": "ros-message-runtime",
     "python3-hypothesis": "pip",
@@ -742,8 +743,6 @@ def main(argv: Sequence[str]) -> int:
                 f"nothing has been built yet in {options.workspace}; "
                 "run ./install.py, or give the --workspace that it was run with"
             )
-        if ros2 is not None and options.shell != "bash":
-            raise Problem(f"there is no setup.{options.shell} for ROS 2: expected bash")
         print(setup.with_suffix(f".{options.shell}"))
         return 0
     if options.command == "uninstall":

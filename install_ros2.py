@@ -10,7 +10,7 @@ import shlex
 import shutil
 import subprocess
 from pathlib import Path
-from typing import Iterator, List, Optional, Sequence
+from typing import Dict, Iterator, List, Optional, Sequence
 
 from install_shell import Problem, Shell, format_source_line, make_bash_command
 
@@ -19,6 +19,9 @@ DISTRIBUTIONS = ("jazzy", "kilted")
 
 FOLDER_PATTERN = "ros2-*"
 """Folders of a workspace with an installation of ROS 2, one for each distribution."""
+
+SETUP_SHELLS = ("bash", "zsh", "sh")
+"""Shells for which there is a setup script."""
 
 SYSTEM_PACKAGES = ("ca-certificates", "cmake", "g++", "ninja-build", "python3-dev", "python3-venv")
 """System packages that building against the wheels needs."""
@@ -29,17 +32,30 @@ REQUIREMENTS = ("requirements.txt", "requirements-ros2-{}.txt")
 # Two versions of lark are installed over each other: retalis needs the newer one, and the wheels accept both.
 _REINSTALLED = ("lark",)
 
-TF2_MSGS = {
-    "package.xml": """<?xml version="1.0"?>
+
+def _interface_package(
+    name: str, description: str, path: str, definition: str, dependency: str
+) -> Dict[str, str]:
+    """Return the files of a package with one definition.
+
+    Args:
+        name: name of the package.
+        description: text for its ``package.xml``.
+        path: path of the definition in the package.
+        definition: text of the definition.
+        dependency: package of the types that the definition uses.
+    """
+    return {
+        "package.xml": f"""<?xml version="1.0"?>
 <package format="3">
-  <name>tf2_msgs</name>
+  <name>{name}</name>
   <version>0.0.0</version>
-  <description>Messages of transforms, which the wheels lack</description>
+  <description>{description}</description>
   <maintainer email="maintainers@retalis.invalid">retalis maintainers</maintainer>
   <license>GPL-3.0-or-later</license>
   <buildtool_depend>ament_cmake</buildtool_depend>
   <buildtool_depend>rosidl_default_generators</buildtool_depend>
-  <depend>geometry_msgs</depend>
+  <depend>{dependency}</depend>
   <exec_depend>rosidl_default_runtime</exec_depend>
   <member_of_group>rosidl_interface_packages</member_of_group>
   <export>
@@ -47,17 +63,35 @@ TF2_MSGS = {
   </export>
 </package>
 """,
-    "CMakeLists.txt": """cmake_minimum_required(VERSION 3.18)
-project(tf2_msgs)
+        "CMakeLists.txt": f"""cmake_minimum_required(VERSION 3.18)
+project({name})
 find_package(ament_cmake REQUIRED)
-find_package(geometry_msgs REQUIRED)
+find_package({dependency} REQUIRED)
 find_package(rosidl_default_generators REQUIRED)
-rosidl_generate_interfaces(tf2_msgs msg/TFMessage.msg DEPENDENCIES geometry_msgs)
+rosidl_generate_interfaces({name} {path} DEPENDENCIES {dependency})
 ament_package()
 """,
-    "msg/TFMessage.msg": "geometry_msgs/TransformStamped[] transforms\n",
+        path: definition,
+    }
+
+
+MISSING_PACKAGES = {
+    "tf2_msgs": _interface_package(
+        "tf2_msgs",
+        "The message of transforms",
+        "msg/TFMessage.msg",
+        "geometry_msgs/TransformStamped[] transforms\n",
+        "geometry_msgs",
+    ),
+    "example_interfaces": _interface_package(
+        "example_interfaces",
+        "An action, for tests",
+        "action/Fibonacci.action",
+        "int32 order\n---\nint32[] sequence\n---\nint32[] sequence\n",
+        "action_msgs",
+    ),
 }
-"""Files of a package with the one message of tf2_msgs that retalis needs."""
+"""Files of packages that the wheels lack, with the one definition that retalis or its tests need."""
 
 _INTERFACE_FILES = ("CMakeLists.txt", "cmake/*", "package.xml", "msg/*", "srv/*")
 """Files of the sources that are built. Other files are installed as links, so their content may change."""
@@ -115,18 +149,20 @@ class Ros2Installation:
             stamp.touch()
 
     def build(self) -> None:
-        """Build retalis, and tf2_msgs if the wheels lack it, with colcon.
+        """Build retalis, and packages that the wheels lack, with colcon.
 
         Raises:
             Problem: if the build fails.
         """
         stamp = self._stamp("build", *self._describe_sources())
+        if not self.shell.dry:
+            self._write_setup()
         if stamp.exists():
             return
         self._remove_stamps("build")
+        missing: List[str] = []
         if not self.shell.dry:
-            self._write_setup()
-            self._write_tf2_msgs()
+            missing = self._write_missing_packages()
             # Files that have been removed from the sources would stay installed.
             shutil.rmtree(self.folder / "install", ignore_errors=True)
         colcon = [
@@ -138,14 +174,14 @@ class Ros2Installation:
             *("--install-base", str(self.folder / "install")),
             "--merge-install",
             "--symlink-install",
-            *("--packages-up-to", "retalis"),
+            *("--packages-up-to", "retalis", *missing),
             *("--event-handlers", "console_direct+"),
             "--cmake-args",
             "-GNinja",
             "-DBUILD_TESTING=OFF",
             f"-DPython3_EXECUTABLE={self.venv / 'bin' / 'python3'}",
         ]
-        self.shell.run_logged("Building for ROS 2", "colcon", self._in_environment(colcon))
+        self.shell.run_logged("Building for ROS 2 (takes minutes)", "colcon", self._in_environment(colcon))
         if not self.shell.dry:
             stamp.touch()
 
@@ -169,7 +205,8 @@ class Ros2Installation:
 
     def _describe_sources(self) -> Iterator[str]:
         """Yield the content of the files that are built, and the names of the files that are installed as links."""
-        yield from TF2_MSGS.values()
+        for files in MISSING_PACKAGES.values():
+            yield from files.values()
         yield self._setup_text()
         for pattern in _INTERFACE_FILES:
             for path in sorted(self.sources.glob(pattern)):
@@ -191,23 +228,29 @@ class Ros2Installation:
             raise Problem(f"{headers}/Python.h is missing: install the package python3-dev")
         return [headers, numpy_headers]
 
-    def _write_tf2_msgs(self) -> None:
-        package = self.folder / "src" / "tf2_msgs"
-        if (self.venv / "share" / "tf2_msgs").exists():
-            shutil.rmtree(package, ignore_errors=True)
-            return
-        for name, text in TF2_MSGS.items():
-            (package / name).parent.mkdir(parents=True, exist_ok=True)
-            (package / name).write_text(text)
+    def _write_missing_packages(self) -> List[str]:
+        """Write the packages that the wheels lack; return their names."""
+        missing: List[str] = []
+        for name, files in MISSING_PACKAGES.items():
+            package = self.folder / "src" / name
+            if (self.venv / "share" / name).exists():
+                shutil.rmtree(package, ignore_errors=True)
+                continue
+            missing.append(name)
+            for path, text in files.items():
+                (package / path).parent.mkdir(parents=True, exist_ok=True)
+                (package / path).write_text(text)
+        return missing
 
     def _write_setup(self) -> None:
         self.folder.mkdir(parents=True, exist_ok=True)
-        self.setup.write_text(self._setup_text())
+        for shell in SETUP_SHELLS:
+            self.setup.with_suffix(f".{shell}").write_text(self._setup_text(shell))
 
-    def _setup_text(self) -> str:
-        """Return a script for bash that puts the wheels and the built packages into the environment."""
+    def _setup_text(self, shell: str = "bash") -> str:
+        """Return a script for a shell that puts the wheels and the built packages into the environment."""
         venv = shlex.quote(str(self.venv))
-        packages = shlex.quote(str(self.folder / "install" / "local_setup.bash"))
+        packages = shlex.quote(str(self.folder / "install" / f"local_setup.{shell}"))
         return f"""# Environment of ROS 2 {self.distribution} with retalis; written by install.py.
 export ROS_VERSION=2 ROS_PYTHON_VERSION=3 ROS_DISTRO={self.distribution}
 export ROS_AUTOMATIC_DISCOVERY_RANGE="${{ROS_AUTOMATIC_DISCOVERY_RANGE:-LOCALHOST}}"

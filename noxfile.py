@@ -29,6 +29,7 @@ def _install(session: nox.Session) -> None:
         "hypothesis",
         "tornado>=6",
         "distributed",
+        "pygls<2",
         "setuptools",
         "wheel",
     )

@@ -91,6 +91,7 @@ CASES = {
     "finishes": Case("p(X, K) finishes q(X, L)", (10, 20), (5, 20), (_apart(10, 20), _apart(5, 20))),
     "forall_seq": Case("p(X, K) forall_seq q(X, L)", (10, 20), (30, 40), takes_all=True),
     "cnot": Case("(p(X, K) seq q(X, L)) cnot r(X, _)", (10, 20), (30, 40)),
+    "without": Case("(p(X, K) seq q(X, L)) without r(X, _)", (10, 20), (30, 40)),
     "fnot": Case(
         "p(X, K) fnot r(X, _)", (10, 20), (30, 40), functors=(R, P), alike=False, fresh=True, stays=True
     ),

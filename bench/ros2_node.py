@@ -1,12 +1,21 @@
 #!/usr/bin/env python3
-"""Cost of the node of ROS 2 beside a node of rclpy that only counts the same messages.
+"""Cost of the node of ROS 2 beside a node of rclpy that only counts the same messages; losses; memory.
 
-    bench/ros2_node.py [--kind pose image] [--rate N ...] [--seconds N]
+    bench/ros2_node.py [--kind pose image scan cloud] [--rate N ...] [--seconds N]
+    bench/ros2_node.py --loss [--kind pose ...] [--rate 1900 9500 19000] [--seconds N] [--depth N]
+    bench/ros2_node.py --memory [--kind pose ...] [--rate N ...] [--seconds N]
 
 Needs rclpy and the installed package (``./install.py test --ros2 --collect-only`` builds it; the same environment).
 Both nodes read the same topic of one publisher, at the same time. CPU is user and system time of each process from
 ``/proc``, for each message. The delay is the time from publishing to an output that the program sends for a message,
-or to the callback of the counting node. For images only the CPU is measured: the program does not read their data.
+or to the callback of the counting node. For all kinds but poses only the CPU is measured.
+
+``--loss`` compares the number of sent messages with what the node has received and counted as missing, without the
+counting node. Quality of service is reliable. Publisher and node store as many messages as ``--depth`` says, so a
+node that is late by more of them loses some.
+
+``--memory`` reads the resident memory of the node each second. Its growth is the slope of a line through the values
+after the first third.
 """
 
 import argparse
@@ -17,16 +26,24 @@ import subprocess
 import sys
 import tempfile
 import time
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, Dict, List
+from statistics import linear_regression
+from typing import Any, Dict, Iterator, List, NamedTuple, Tuple
 
 HERE = Path(__file__).resolve().parent
 sys.path[:0] = [str(HERE), str(HERE.parent / "test")]
 
-from arguments import above_zero  # noqa: E402
-from processes import cpu  # noqa: E402
+from arguments import above_zero, positive  # noqa: E402
+from processes import cpu, resident  # noqa: E402
 
-TYPES = {"pose": "PoseStamped", "image": "Image"}
+KINDS = ("pose", "image", "scan", "cloud")
+RATES = {"pose": [100.0, 1900.0], "image": [30.0], "scan": [40.0], "cloud": [10.0]}
+"""Default rates in messages per second."""
+
+LOSS_RATES = [1900.0, 9500.0, 19000.0]
+"""One, five and ten times the rate of a NAO."""
+
 PROGRAMS = {
     "pose": (
         '<subscribe_to name="measured" msg_type="geometry_msgs/PoseStamped"/>',
@@ -35,6 +52,14 @@ PROGRAMS = {
     "image": (
         '<subscribe_to name="measured" msg_type="sensor_msgs/Image" event="image"/>',
         "memorize(image{header: H}, [], H, images, 10)\n",
+    ),
+    "scan": (
+        '<subscribe_to name="measured" msg_type="sensor_msgs/LaserScan" event="scan"/>',
+        "memorize(scan{header: H}, [], H, scans, 10)\n",
+    ),
+    "cloud": (
+        '<subscribe_to name="measured" msg_type="sensor_msgs/PointCloud2" event="cloud"/>',
+        "memorize(cloud{header: H, width: W}, [], c(H, W), clouds, 10)\n",
     ),
 }
 """Topics and goals of the program for each kind of message."""
@@ -50,16 +75,36 @@ START_SECONDS = 3.0
 
 MAX_SECONDS = 600
 
+DEPTH = 1000
+"""Number of messages that publisher and readers store by default; the largest one that a node chooses itself."""
 
-def message_class(kind: str) -> Any:
-    """Return the class of the messages."""
+
+class Load(NamedTuple):
+    """Number of sent messages, and the seconds in which they were sent."""
+
+    sent: int
+    seconds: float
+
+
+def make_message(kind: str) -> Any:
+    """Return a message of a kind."""
     if kind == "pose":
         from geometry_msgs.msg import PoseStamped
 
-        return PoseStamped
-    from sensor_msgs.msg import Image
+        return PoseStamped()
+    from sensor_msgs.msg import Image, LaserScan, PointCloud2
 
-    return Image
+    if kind == "scan":
+        return LaserScan(ranges=[1.0] * 720)
+    if kind == "image":
+        return Image(height=480, width=640, step=1920, encoding="rgb8", data=bytes(480 * 1920))
+    # 100,000 points of 16 bytes.
+    return PointCloud2(height=1, width=100_000, point_step=16, row_step=1_600_000, data=bytes(1_600_000))
+
+
+def message_class(kind: str) -> Any:
+    """Return the class of the messages."""
+    return type(make_message(kind))
 
 
 def count(kind: str, topic: str = "measured") -> None:
@@ -77,40 +122,51 @@ def count(kind: str, topic: str = "measured") -> None:
     if topic == "output":
         from std_msgs.msg import Header
 
-        node.create_subscription(Header, topic, receive, 1000)
+        node.create_subscription(Header, topic, receive, DEPTH)
     else:
-        node.create_subscription(message_class(kind), topic, receive, 1000)
+        node.create_subscription(message_class(kind), topic, receive, DEPTH)
     try:
         rclpy.spin(node)
     except (KeyboardInterrupt, rclpy.executors.ExternalShutdownException):
         print(json.dumps(delays))
 
 
-def publish(kind: str, rate: float, seconds: float) -> None:
-    """Publish messages at a rate; print their number."""
+def publish(kind: str, rate: float, seconds: float, depth: int, is_compared: bool) -> None:
+    """Publish messages at a rate; print their number and the seconds that this has taken.
+
+    Args:
+        kind: kind of the messages.
+        rate: messages per second.
+        seconds: seconds for which they are published.
+        depth: number of messages that the publisher stores.
+        is_compared: whether the counting node reads them, too, and measures delays. Otherwise they are serialized
+            once, which allows higher rates, and have no stamps.
+    """
     import rclpy
+    from rclpy.serialization import serialize_message
 
     rclpy.init()
     node = rclpy.create_node("load")
-    publisher = node.create_publisher(message_class(kind), "measured", 1000)
+    message = make_message(kind)
+    data = serialize_message(message)
+    publisher = node.create_publisher(type(message), "measured", depth)
     end = time.monotonic() + 30
-    while publisher.get_subscription_count() < 2 and time.monotonic() < end:
+    while publisher.get_subscription_count() < 1 + is_compared and time.monotonic() < end:
         time.sleep(0.02)
     time.sleep(START_SECONDS)
-    message = message_class(kind)()
-    if kind == "image":
-        message.height, message.width, message.step, message.encoding = 480, 640, 1920, "rgb8"
-        message.data = bytes(480 * 1920)
     sent, start = 0, time.monotonic()
     while time.monotonic() - start < seconds:
         due = int((time.monotonic() - start) * rate)
         while sent < due:
-            message.header.stamp.sec, message.header.stamp.nanosec = divmod(time.time_ns(), 10**9)
-            publisher.publish(message)
+            if is_compared:
+                message.header.stamp.sec, message.header.stamp.nanosec = divmod(time.time_ns(), 10**9)
+            publisher.publish(message if is_compared else data)
             sent += 1
         time.sleep(min(0.0005, 0.5 / rate))
-    time.sleep(1.0)
-    print(sent)
+    taken = time.monotonic() - start
+    # The reader may have to ask for messages again.
+    time.sleep(2.0)
+    print(sent, taken)
 
 
 def start(*words: str, **options: Any) -> Any:
@@ -118,8 +174,9 @@ def start(*words: str, **options: Any) -> Any:
     return subprocess.Popen([sys.executable, __file__, *words], text=True, **options)
 
 
-def measure(kind: str, program: Any, rate: float, seconds: float, has_output: bool) -> Dict[str, Any]:
-    """Return the cost of both nodes at a rate."""
+@contextmanager
+def run_node(program: Any) -> Iterator[Any]:
+    """Run a node with a program, which consists of topics and goals; yield its process."""
     from ros2.node_processes import NodeProcess
 
     with tempfile.TemporaryDirectory() as folder:
@@ -127,23 +184,105 @@ def measure(kind: str, program: Any, rate: float, seconds: float, has_output: bo
         Path(folder, "pub_sub.xml").write_text(f"<publish_subscribe>{topics}</publish_subscribe>")
         Path(folder, "goalPredicates.txt").write_text(goals)
         node = NodeProcess(Path(folder, "node.log"), "-p", f"program:={folder}")
+        try:
+            yield node.process
+            if node.process.poll() is not None:
+                raise SystemExit(f"the node has ended:\n{node.log()}")
+            node.interrupt()
+        finally:
+            node.kill()
+
+
+def start_load(kind: str, rate: float, seconds: float, depth: int, is_compared: bool) -> Any:
+    """Start the publisher; see `publish`."""
+    words = ("--publish", kind, str(rate), str(seconds), str(depth), str(int(is_compared)))
+    return start(*words, stdout=subprocess.PIPE)
+
+
+def finish_load(load: Any) -> Load:
+    """Wait for the publisher; return what it has sent."""
+    sent, seconds = load.communicate(timeout=MAX_SECONDS)[0].split()
+    return Load(int(sent), float(seconds))
+
+
+def measure(kind: str, program: Any, rate: float, seconds: float, has_output: bool) -> Dict[str, Any]:
+    """Return the cost of both nodes at a rate."""
+    with run_node(program) as node:
         counter = start("--count", kind, stdout=subprocess.PIPE)
         output = start("--count", kind, "--output", stdout=subprocess.PIPE) if has_output else None
         time.sleep(START_SECONDS)
-        before = [cpu(process.pid) for process in (node.process, counter)]
-        load = start("--publish", kind, str(rate), str(seconds), stdout=subprocess.PIPE)
-        sent = int(load.communicate(timeout=MAX_SECONDS)[0])
-        spent = [cpu(process.pid) - first for process, first in zip((node.process, counter), before)]
+        before = [cpu(process.pid) for process in (node, counter)]
+        sent = finish_load(start_load(kind, rate, seconds, DEPTH, True)).sent
+        spent = [cpu(process.pid) - first for process, first in zip((node, counter), before)]
         delays = [read_delays(process) for process in (output, counter) if process is not None]
-        node.interrupt()
     return {
-        "kind": kind,
-        "rate": rate,
-        "sent": sent,
         "node_us": 1e6 * spent[0] / sent,
         "counter_us": 1e6 * spent[1] / sent,
         "delays": delays,
     }
+
+
+def measure_loss(kind: str, rate: float, seconds: float, depth: int) -> str:
+    """Return a line with the sent messages, and those that the node has received and counted as missing."""
+    topics, goals = PROGRAMS[kind]
+    with run_node((topics.replace("/>", f' depth="{depth}"/>'), goals)) as node:
+        time.sleep(START_SECONDS)
+        before = cpu(node.pid)
+        load = finish_load(start_load(kind, rate, seconds, depth, False))
+        spent = cpu(node.pid) - before
+        received, missing = read_counters()
+    return (
+        f"{kind} at {rate:g}/s, depth {depth}: {load.sent / load.seconds:.0f}/s sent, {load.sent} messages: "
+        f"{received} received, {missing} counted as missing, {load.sent - received - missing} not counted; "
+        f"node {1e6 * spent / load.sent:.0f} us a message, {spent / load.seconds:.0%} of a core"
+    )
+
+
+def read_counters() -> Tuple[int, int]:
+    """Return the numbers of received and of missing messages of the node, when it has read what has arrived."""
+    import rclpy
+
+    import retalis.srv
+
+    if not rclpy.ok():
+        rclpy.init()
+    client_node = rclpy.create_node("reader")
+    client = client_node.create_client(retalis.srv.List, "/retalis/list")
+    client.wait_for_service(MAX_SECONDS)
+    counters, before = (0, 0), (-1, -1)
+    while counters != before:
+        before = counters
+        time.sleep(1.0)
+        future = client.call_async(retalis.srv.List.Request())
+        rclpy.spin_until_future_complete(client_node, future)
+        counters = next(
+            (int(entry.messages), int(entry.missing))
+            for entry in future.result().inputs
+            if entry.topic == "/measured"
+        )
+    client_node.destroy_node()
+    return counters
+
+
+def measure_memory(kind: str, rate: float, seconds: float, depth: int) -> str:
+    """Return a line with the resident memory of the node, and its growth."""
+    with run_node(PROGRAMS[kind]) as node:
+        time.sleep(START_SECONDS)
+        before = cpu(node.pid)
+        load = start_load(kind, rate, seconds, depth, False)
+        samples: List[Tuple[float, float]] = []
+        while load.poll() is None:
+            samples.append((time.monotonic(), resident(node.pid)))
+            time.sleep(1.0)
+        result = finish_load(load)
+        spent = cpu(node.pid) - before
+    steady = samples[len(samples) // 3 :]
+    slope = linear_regression(*zip(*steady)).slope
+    values = [value for _, value in steady]
+    return (
+        f"{kind} at {rate:g}/s for {result.seconds:.0f} s: {min(values):.1f} to {max(values):.1f} MB, "
+        f"growth {3600 * slope:.1f} MB an hour; {spent / result.seconds:.0%} of a core"
+    )
 
 
 def read_delays(process: Any) -> List[float]:
@@ -160,32 +299,43 @@ def describe_delays(delays: List[float]) -> str:
     return f"{len(delays)} received, delay {1e3 * median:.2f} ms, 99 % {1e3 * high:.2f} ms"
 
 
+def measure_cost(kind: str, rate: float, seconds: float, depth: int) -> str:
+    """Return lines with the cost of both nodes, and with the delays for poses."""
+    cost = measure(kind, PROGRAMS[kind], rate, seconds, False)
+    lines = [
+        f"{kind} at {rate:g}/s: node {cost['node_us']:.0f} us a message, counting node "
+        f"{cost['counter_us']:.0f} us = {cost['node_us'] / cost['counter_us']:.2f}"
+    ]
+    if kind == "pose":
+        outputs, counted = measure(kind, DELAY_PROGRAM, rate, seconds, True)["delays"]
+        lines.append(f"  node with outputs: {describe_delays(outputs)}")
+        lines.append(f"  counting node:     {describe_delays(counted)}")
+    return "\n".join(lines)
+
+
 def main() -> None:
     """Measure and print."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--kind", nargs="+", choices=TYPES, default=["pose"])
-    parser.add_argument("--rate", nargs="+", type=above_zero, default=[100.0, 1900.0])
+    parser.add_argument("--kind", nargs="+", choices=KINDS, default=["pose"])
+    parser.add_argument("--rate", nargs="+", type=above_zero)
     parser.add_argument("--seconds", type=above_zero, default=10.0)
+    parser.add_argument("--depth", type=positive, default=DEPTH, help="for --loss and --memory")
+    group = parser.add_mutually_exclusive_group()
+    group.add_argument("--loss", dest="measure", action="store_const", const=measure_loss)
+    group.add_argument("--memory", dest="measure", action="store_const", const=measure_memory)
+    parser.set_defaults(measure=measure_cost)
     options = parser.parse_args()
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     for kind in options.kind:
-        for rate in options.rate:
-            cost = measure(kind, PROGRAMS[kind], rate, options.seconds, False)
-            print(
-                f"{kind} at {rate:g}/s: node {cost['node_us']:.0f} us a message, counting node "
-                f"{cost['counter_us']:.0f} us = {cost['node_us'] / cost['counter_us']:.2f}",
-                flush=True,
-            )
-            if kind == "pose":
-                outputs, counted = measure(kind, DELAY_PROGRAM, rate, options.seconds, True)["delays"]
-                print(f"  node with outputs: {describe_delays(outputs)}")
-                print(f"  counting node:     {describe_delays(counted)}", flush=True)
+        rates = LOSS_RATES if options.measure is measure_loss and kind == "pose" else RATES[kind]
+        for rate in options.rate or rates:
+            print(options.measure(kind, rate, options.seconds, options.depth), flush=True)
 
 
 if __name__ == "__main__":
     if sys.argv[1:2] == ["--count"]:
         count(sys.argv[2], "output" if sys.argv[3:] else "measured")
     elif sys.argv[1:2] == ["--publish"]:
-        publish(sys.argv[2], float(sys.argv[3]), float(sys.argv[4]))
+        publish(sys.argv[2], float(sys.argv[3]), float(sys.argv[4]), int(sys.argv[5]), sys.argv[6] == "1")
     else:
         main()

@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """Response to Ctrl-C: seconds from SIGINT to the end of a command that is busy, or waits.
 
-    bench/interrupts.py [--case NAME ...] [--runs N]
+    bench/interrupt_latency.py [--case NAME ...] [--runs N]
 
 Each case starts a command, waits until it has printed ``started``, sends SIGINT and waits for the end of the process.
 Prints the shortest and the longest time, and the exit status, which is 130.
