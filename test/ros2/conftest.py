@@ -61,6 +61,14 @@ def network(domain: int) -> Iterator[Any]:
 
 
 @pytest.fixture
+def unlimited_discovery(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let commands of this process wait for a node as long as a busy machine takes; its discovery ends the wait."""
+    from retalis.ros2 import rclpy_client  # noqa: PLC0415 - rclpy is optional
+
+    monkeypatch.setattr(rclpy_client, "DISCOVERY_SECONDS", 3600.0)
+
+
+@pytest.fixture
 def start_node(domain: int, tmp_path: Path) -> Iterator[Callable[..., NodeProcess]]:
     """Return a function that starts the installed node with arguments for ROS."""
     started: List[NodeProcess] = []

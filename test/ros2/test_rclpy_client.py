@@ -28,7 +28,7 @@ from retalis.node.text_exchange import INPUT, OUTPUT
 from retalis.ros2 import rclpy_client
 from retalis.ros2.rclpy_client import RclpyClient
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("unlimited_discovery")]
 
 
 @pytest.fixture
@@ -66,19 +66,15 @@ def test_nodes_have_services_and_topics(network: Network, client: RclpyClient) -
     network.add_node("peer", namespace="/robot").create_publisher(String, "texts", 10)
     nodes = client.find_nodes("/retalis")
     assert nodes.services["/retalis/list"] == nodes.services["/add_memory"] == {"/retalis"}
-    assert nodes.publishers["/robot/texts"] == {"/robot/peer"}
+    # The nodes of a process are discovered one after the other.
+    wait_until(lambda: client.find_nodes().publishers.get("/robot/texts") == {"/robot/peer"})
     assert NodeClient(client).name == NodeClient(client, "retalis").name == "/retalis"
 
 
-def test_found_node_ends_wait(network: Network, client: RclpyClient, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(rclpy_client, "DISCOVERY_SECONDS", 3600.0)
+def test_found_node_ends_wait(network: Network, client: RclpyClient) -> None:
     add_engine(network, "monitor")
-    patient_client = RclpyClient()
-    try:
-        assert NodeClient(patient_client, "/monitor").has_engine
-        assert NodeClient(patient_client).name == "/monitor"
-    finally:
-        patient_client.end()
+    assert NodeClient(client, "/monitor").has_engine
+    assert NodeClient(client).name == "/monitor"
 
 
 def test_missing_node_is_an_error(domain: int, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -193,7 +189,7 @@ def test_published_texts_are_received(network: Network, client: RclpyClient) -> 
     texts: List[str] = []
     add_engine(network)
     client.start_node("retalis_watch")
-    assert "/texts" in client.find_nodes().publishers
+    wait_until(lambda: "/texts" in client.find_nodes().publishers)
     client.subscribe("/texts", texts.append)
     wait_until(publisher.get_subscription_count)
     publisher.publish(String(data="a"))
