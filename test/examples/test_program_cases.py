@@ -144,5 +144,7 @@ def test_cases_of_patterns_pass(path: Path, definitions: Definitions) -> None:
 
 
 def test_table_lists_files_of_patterns() -> None:
-    links = re.findall(r"^\| \[\S+\]\(tests/(\S+)\)", (PATTERNS / "README.md").read_text("utf-8"), re.MULTILINE)
+    links = re.findall(
+        r"^\| \[\S+\]\(tests/(\S+)\)", (PATTERNS / "README.md").read_text("utf-8"), re.MULTILINE
+    )
     assert sorted(links) == [path.name for path in list_files(PATTERNS)]
