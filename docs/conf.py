@@ -23,6 +23,7 @@ from urllib.parse import urlsplit
 from xml.etree import ElementTree
 
 from docutils import nodes
+from pygments.lexers.prolog import PrologLexer
 from sphinx import addnodes
 from sphinx.application import Sphinx
 from sphinx.transforms import SphinxTransform
@@ -32,9 +33,7 @@ DOCS = Path(__file__).resolve().parent
 ROOT = DOCS.parent
 COOKBOOK = ROOT / "examples" / "cookbook"
 
-sys.path[:0] = [str(ROOT / "src"), str(DOCS)]
-
-from rule_lexer import RuleLexer  # noqa: E402 - beside this file
+sys.path.insert(0, str(ROOT / "src"))
 
 MANIFEST = ElementTree.parse(ROOT / "package.xml").getroot()
 REPOSITORY = (MANIFEST.findtext("url[@type='repository']") or "").strip().rstrip("/")
@@ -75,8 +74,8 @@ html_js_files = ["site.js"]
 copybutton_prompt_text = r"\$ |\?- |>>> |\.\.\. "
 copybutton_prompt_is_regexp = True
 
-RULE_LANGUAGES = ("prolog", "goals", "outputs", "stream")
-"""Languages of code blocks with Prolog terms, which the tests of the pages distinguish."""
+OWN_LANGUAGES = ("goals", "outputs", "stream")
+"""Languages of code blocks that the tests of the pages distinguish; all of them contain Prolog terms."""
 
 INDEX_NAMES = ("index", "README")
 """Names of the pages that list the other pages of their folders."""
@@ -393,5 +392,5 @@ def setup(app: Sphinx) -> None:
     app.connect("build-finished", check_site)
     app.add_transform(ResolveFileLinks)
     app.add_transform(CaptionCodeBlocks)
-    for language in RULE_LANGUAGES:
-        app.add_lexer(language, RuleLexer)
+    for language in OWN_LANGUAGES:
+        app.add_lexer(language, PrologLexer)

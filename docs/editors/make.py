@@ -3,8 +3,7 @@
 
     PYTHONPATH=src docs/editors/make.py    # writes docs/editors/vim and docs/editors/vscode
 
-Words, numbers, quoted texts and comments are those of ``src/retalis/prolog/syntax/tokenizer.py``. The grammar for
-VS Code also colours the pages of the documentation; see ``docs/rule_lexer.py``.
+What is a word, a number, a quoted text or a comment is as in ``src/retalis/prolog/syntax/tokenizer.py``.
 """
 
 import json
@@ -19,41 +18,39 @@ HERE = Path(__file__).resolve().parent
 
 FILES = ("eventRules.txt", "goalPredicates.txt")
 ENDINGS = ("event", "retalis")
-"""Suffixes of other files with rules."""
+"""What a program's files are called, and files that hold rules."""
 
 ARROWS = ("<-", ":-", "?-", "-->")
-ORIGIN = "docs/editors/make.py made this from the tables of operators."
+BY = "docs/editors/make.py made this from the tables of operators."
 
 
-def list_event_words() -> List[str]:
-    """Return all spellings of the operators of the event language that are words."""
-    spellings = [
+def words_of_events() -> List[str]:
+    """Return how the operators of the event language are spelled that are words."""
+    found = [
         spelling
-        for operator in EVENT_OPERATORS
-        if operator.kind is not OperatorKind.UNSUPPORTED
-        for spelling in operator.spellings
+        for one in EVENT_OPERATORS
+        if one.kind is not OperatorKind.UNSUPPORTED
+        for spelling in one.spellings
         if re.fullmatch(r"\w+", spelling)
     ]
-    return list(dict.fromkeys(spellings))
+    return list(dict.fromkeys(found))
 
 
-def list_prolog_words() -> List[str]:
-    """Return the operators of Prolog that are words and not operators of the event language."""
+def words_of_prolog() -> List[str]:
+    """Return Prolog's operators that are words."""
     table = Operators.prolog()
-    event_words = {*list_event_words(), *(operator.name for operator in EVENT_OPERATORS)}
+    known = {*words_of_events(), *(one.name for one in EVENT_OPERATORS)}
     names = {*table.prefix, *table.infix, *table.postfix}
-    return sorted(
-        name for name in names if re.fullmatch(r"[a-z]\w*", name) and name.lower() not in event_words
-    )
+    return sorted(name for name in names if re.fullmatch(r"[a-z]\w*", name) and name.lower() not in known)
 
 
 def vim_syntax() -> str:
-    """Return the syntax file for vim."""
+    """Return the file that says what is coloured, for vim."""
     arrows = "\\|".join(re.sub(r"([*.~\[\]^$\\/])", r"\\\1", arrow) for arrow in ARROWS)
     return f"""\
 " Vim syntax file
 " Language: retalis, event rules and goals
-" {ORIGIN}
+" {BY}
 if exists("b:current_syntax")
   finish
 endif
@@ -66,8 +63,8 @@ syn match retalisEnd "\\.\\ze\\%(\\s\\|%\\|$\\)"
 syn match retalisNumber "\\<\\d[0-9_]*\\%(\\.\\d\\+\\)\\=\\%([eE][-+]\\=\\d\\+\\)\\=\\>"
 syn match retalisNumber "\\<0x\\x\\+\\>\\|\\<0o\\o\\+\\>\\|\\<0b[01]\\+\\>"
 syn match retalisNumber "\\<0'\\%(\\\\.\\|''\\|[^\\\\]\\)"
-syn keyword retalisOperator {" ".join(list_event_words())}
-syn keyword retalisProlog {" ".join(list_prolog_words())}
+syn keyword retalisOperator {" ".join(words_of_events())}
+syn keyword retalisProlog {" ".join(words_of_prolog())}
 syn region retalisAtom start=+'+ skip=+\\\\.\\|''+ end=+'+
 syn region retalisString start=+"+ skip=+\\\\.\\|""+ end=+"+
 syn region retalisString start=+`+ skip=+\\\\.\\|``+ end=+`+
@@ -92,17 +89,17 @@ let b:current_syntax = "retalis"
 
 
 def vim_detection() -> str:
-    """Return the file for vim that detects files with rules."""
+    """Return the file that says which files are meant, for vim."""
     names = ",".join((*FILES, *(f"*.{ending}" for ending in ENDINGS)))
     return f"""\
-" {ORIGIN}
+" {BY}
 autocmd BufNewFile,BufRead {names} set filetype=retalis
 autocmd FileType retalis setlocal commentstring=%\\ %s comments=:%
 """
 
 
 def grammar() -> Dict[str, object]:
-    """Return the TextMate grammar for VS Code."""
+    """Return what is coloured, as VS Code wants it."""
 
     def rule(name: str, match: str) -> Dict[str, object]:
         return {"name": f"{name}.retalis", "match": match}
@@ -124,7 +121,7 @@ def grammar() -> Dict[str, object]:
     number = rf"0'(?:\\.|''|[^\\])|\b(?:{radix}|{decimal})\b"
     return {
         "$schema": "https://raw.githubusercontent.com/martinring/tmlanguage/master/tmlanguage.json",
-        "comment": ORIGIN,
+        "comment": BY,
         "name": "retalis",
         "scopeName": "source.retalis",
         "patterns": [
@@ -134,8 +131,8 @@ def grammar() -> Dict[str, object]:
             region("string.quoted.double", '"', f'{escape}|""'),
             region("string.quoted.other", "`", f"{escape}|``"),
             rule("constant.numeric", number),
-            rule("keyword.control.event", rf"\b(?:{'|'.join(list_event_words())})\b"),
-            rule("keyword.operator.word", rf"\b(?:{'|'.join(list_prolog_words())})\b"),
+            rule("keyword.control.event", rf"\b(?:{'|'.join(words_of_events())})\b"),
+            rule("keyword.operator.word", rf"\b(?:{'|'.join(words_of_prolog())})\b"),
             rule("keyword.control.arrow", rf"(?<!{signs})(?:{arrows})(?!{signs})"),
             rule("variable.other", r"\b[A-Z_]\w*\b"),
             rule("entity.name.function", r"\b[a-z]\w*(?=\()"),
@@ -146,7 +143,7 @@ def grammar() -> Dict[str, object]:
 
 
 def extension() -> Dict[str, object]:
-    """Return the manifest of the extension for VS Code."""
+    """Return what VS Code has to know of the folder."""
     return {
         "name": "retalis",
         "displayName": "retalis",
@@ -203,7 +200,7 @@ def extension() -> Dict[str, object]:
 
 
 def configuration() -> Dict[str, object]:
-    """Return the comments and brackets of the language for VS Code."""
+    """Return how VS Code comments out, and which brackets belong together."""
     pairs = [["(", ")"], ["[", "]"], ["{", "}"]]
     quotes = [[mark, mark] for mark in "'\"`"]
     return {
@@ -214,8 +211,8 @@ def configuration() -> Dict[str, object]:
     }
 
 
-def list_contents() -> Dict[Path, str]:
-    """Return the contents of the files by path."""
+def texts() -> Dict[Path, str]:
+    """Return each file and what it holds."""
 
     def pretty(value: object) -> str:
         return json.dumps(value, indent=2) + "\n"
@@ -230,6 +227,6 @@ def list_contents() -> Dict[Path, str]:
 
 
 if __name__ == "__main__":
-    for path, text in list_contents().items():
+    for path, text in texts().items():
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(text, encoding="utf-8")

@@ -128,6 +128,16 @@ def test_steps_have_a_line_each() -> None:
     ]
 
 
+def test_option_of_steps_has_a_line() -> None:
+    text = "x <- aggregate(count, v(V), _, steps([low, high], [after_match({})]))."
+    assert reading(text.format("skip_to_last(high)"))[-1] == (
+        "  - the next match begins at the last event of step `high` in a match"
+    )
+    assert reading(text.format("skip_to_next"))[-1] == (
+        "  - the next match begins at the event after the first one of a match"
+    )
+
+
 def test_repeated_aggregate_has_words_of_its_measure() -> None:
     assert reading("x(M) <- walk seq aggregate(max(D), step(D), M).")[1] == (
         "- `walk` happened, and again at each later `step(D)`; `M` is the largest `D` since `walk`"

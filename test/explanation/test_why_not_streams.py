@@ -79,6 +79,22 @@ def test_steps_show_longest_sequence() -> None:
     ]
 
 
+def test_steps_show_options_and_stamps() -> None:
+    steps = "[up,later((down where t2(E),E-first(up,t1) < 3,T < avg(up,T)))]"
+    lines = explanation_lines(
+        f"o(L) <- aggregate(last(t2), a(T), L, steps({steps},[after_match(skip_to_last(down))])).",
+        [("a(1)", 1), ("a(9)", 2)],
+        "o(_)",
+    )
+    assert (
+        lines[0]
+        == f"- aggregate over steps({steps},[after_match(skip_to_last(down))]): no events took all steps"
+    )
+    assert lines[3] == (
+        "- step later((down where t2(E),E-first(up,t1) < 3,T < avg(up,T))): took 0 events of 1"
+    )
+
+
 def test_incomplete_step_shows_event_count() -> None:
     lines = explanation_lines(STEPS, [("a(1,1)", 1)], "o(_)")
     assert lines[2] == "- step up(2) where T > 0: took 1 event of 2"

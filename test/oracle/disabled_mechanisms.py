@@ -29,7 +29,8 @@ from retalis.events.network.stream_node import StreamNode
 from retalis.events.streams import row_pattern
 from retalis.events.streams.absence_timeout import AbsenceTimeout
 from retalis.events.streams.rate_operators import RATE_OPERATORS, Debounce, DistinctUntilChanged, Throttle
-from retalis.events.streams.row_pattern import RowPatternNFA, RowPatternWindow
+from retalis.events.streams.row_pattern import RowPatternWindow
+from retalis.events.streams.row_pattern_automaton import RowPatternNFA
 from retalis.events.streams.session_window import SessionWindow
 from retalis.events.streams.stream_operators import StreamElement, StreamOutput
 from retalis.events.streams.windows import (
@@ -213,9 +214,11 @@ def ahead(seed: int) -> bool:
 def steps(seed: int) -> bool:
     """Compare row patterns over readings with an exhaustive search."""
     chance = Random(seed)
-    drawn = make_list(Generator(chance.choice).steps([VALUE]))
+    generator = Generator(chance.choice)
+    drawn = generator.steps([VALUE], are_numbers=True)
+    skip, steps = generator.skip(drawn), make_list(drawn)
     readings = [(chance.choice("aab"), chance.randrange(4)) for _ in range(14)]
-    return bool(outputs_of_rule(rule_of(drawn), readings) != expected_outputs(drawn, readings))
+    return bool(outputs_of_rule(rule_of(steps, skip), readings) != expected_outputs(steps, readings, skip))
 
 
 # ---- disabled mechanisms -----------------------------------------------------------------------------
@@ -379,9 +382,15 @@ MECHANISMS: Dict[str, Mechanism] = {
     "order of steps": Mechanism(method(RowPatternWindow, "_accepting_steps", later_steps_first), steps),
     "reluctant steps": Mechanism(method(RowPatternNFA, "_transitions", never_reluctant), steps),
     "end of steps": Mechanism(lambda: patch.object(row_pattern, "ends_step", lambda *_: False), steps),
+    "next match of steps": Mechanism(
+        method(RowPatternWindow, "_next_start", lambda window, match: match.start_order + 1), steps
+    ),
     "conditions on past rows": Mechanism(
         method(RowPatternNFA, "advance_navigations", lambda plan, marks, at, item: (item,) * len(marks)),
         steps,
+    ),
+    "aggregates of steps": Mechanism(
+        method(RowPatternNFA, "advance_totals", lambda plan, totals, step, item: totals), steps
     ),
 }
 

@@ -155,7 +155,7 @@ class Windowed(Pattern):
     """``aggregate(kinds, collected, results, window)``; kinds are words, values and results lists of terms.
 
     The window is a name in `WINDOWS`, which defines the meaning of span and step, or ``steps``. A word may end with
-    the number of its step, as in ``max@1``.
+    the number of its step, as in ``max@1``. So may the strategy after a match of steps.
     """
 
     kinds: str
@@ -166,6 +166,7 @@ class Windowed(Pattern):
     span: Any
     step: Any = 0
     steps: Term = NIL
+    skip: str = "skip_past_last"
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,14 +6,19 @@ A step is the term ``step(Name, Least, Most, Mode, Where, Goal, Until)``: Most i
 
 from typing import Any, Callable, List, NamedTuple, Optional, Sequence, Tuple
 
-from retalis import Atom, Term, Var, list_items
+from retalis import Atom, Term, Var, atom, list_items
 
 from .goals import Bindings, first, instance, value_of
+from .matches import EMPTY_RESULTS, RESULTS
 
 Assignment = Tuple[Tuple[int, int], ...]
 """Positions of items, with the indexes of the steps that match them."""
 OPEN = "open"
 """Undecided: the result depends on later events."""
+AGGREGATES = ("count", "sum", "avg", "min", "max")
+NONE = atom("none")
+STAMPS = {"t1": Var(), "t2": Var()}
+"""Variables whose values are the start and the end of an item."""
 
 
 class Step(NamedTuple):
@@ -41,20 +46,48 @@ def steps_of(term: Term) -> List[Step]:
     return steps
 
 
-def whole_matches(steps: Sequence[Step], items: Sequence[Bindings]) -> List[Assignment]:
-    """Return the matches in a list of items that its end decides."""
+PAST_LAST = "skip_past_last"
+
+
+def whole_matches(
+    steps: Sequence[Step], items: Sequence[Bindings], skip: str = PAST_LAST
+) -> List[Assignment]:
+    """Return the matches in a list of items that its end decides.
+
+    The strategy after a match may end with the number of a step, as in ``skip_to_last@1``.
+    """
     matches: List[Assignment] = []
     position = 0
     while position < len(items):
         match: Any = Trial(steps, items).begin(position)
         if match == OPEN:
-            return matches
+            if skip != "skip_to_next":
+                return matches
+            match = None  # a later start does not depend on it
         if match is None:
             position += 1
         else:
             matches.append(match)
-            position = match[-1][0] + 1
+            position = _next_position(match, skip)
     return matches
+
+
+def decided_matches(steps: Sequence[Step], items: Sequence[Bindings], skip: str = PAST_LAST) -> List[Any]:
+    """Return the matches that the last item decides."""
+    earlier = whole_matches(steps, items[:-1], skip)
+    return [match for match in whole_matches(steps, items, skip) if match not in earlier]
+
+
+def _next_position(match: Assignment, skip: str) -> int:
+    """Return the position at which the search continues after a match."""
+    strategy, _, number = skip.partition("@")
+    begin = match[0][0]
+    if strategy == "skip_to_next":
+        return begin + 1
+    places = [place for place, step in match if str(step) == number]
+    if not places:
+        return match[-1][0] + 1
+    return max(begin + 1, min(places) if strategy == "skip_to_first" else max(places))
 
 
 class Trial:
@@ -132,12 +165,22 @@ class Trial:
         for part in conjuncts(goal):
             missing: List[bool] = []
 
-            def past(kind: str, name: str, var: Var, missing: List[bool] = missing) -> Term:
-                places = [place for place, other in assigned if kind == "prev" or self._is(other, name, step)]
-                if not places:
+            def past(
+                kind: str, name: str, var: Optional[Var], number: int, missing: List[bool] = missing
+            ) -> Term:
+                is_all = kind == "prev" or name == "match"
+                places = [place for place, other in assigned if is_all or self._is(other, name, step)]
+                if kind in AGGREGATES:
+                    # The current item counts, as if the step of the condition matched it.
+                    places += [position] if is_all or self._is(step, name, step) else []
+                    values = [instance(var or NONE, self.items[place]) for place in places]
+                    result = RESULTS[kind](values) if values else EMPTY_RESULTS.get(kind)
+                    missing += [] if result is not None else [True]
+                    return NONE if result is None else result
+                if len(places) < number:
                     missing.append(True)
-                    return var
-                return instance(var, self.items[places[0 if kind == "first" else -1]])
+                    return var or NONE
+                return instance(var or NONE, self.items[places[0 if kind == "first" else -number]])
 
             condition = insert_past_values(part, past)
             if missing:
@@ -157,12 +200,18 @@ def conjuncts(goal: Term) -> List[Term]:
     return [goal]
 
 
-def insert_past_values(term: Term, past: Callable[[str, str, Var], Term]) -> Term:
+def insert_past_values(term: Term, past: Callable[[str, str, Optional[Var], int], Term]) -> Term:
     """Return a condition in which references to earlier items are replaced by their values."""
     term = value_of(term, {})
     if term.__class__ is not tuple:
         return term
     name, args = term[0].name, term[1:]
-    if name in ("prev", "first", "last") and args[-1].__class__ is Var and len(args) <= 2:
-        return past(name, args[0].name if len(args) == 2 else "", args[-1])
+    if name in ("prev", "first", "last"):
+        args = tuple([STAMPS.get(getattr(argument, "name", ""), argument) for argument in args])
+    if name == "prev" and len(args) == 2:
+        return past(name, "", args[0], args[1])
+    if name == "count":
+        return past(name, args[0].name, None, 1)
+    if name in ("prev", "first", "last", *AGGREGATES) and args[-1].__class__ is Var and len(args) <= 2:
+        return past(name, args[0].name if len(args) == 2 else "", args[-1], 1)
     return (term[0], *(insert_past_values(argument, past) for argument in args))

@@ -211,7 +211,11 @@ def _steps(node: Windowed, names: Names) -> str:
         if step.goal is not None:
             text += f" where ({write_term(step.goal, names)})"
         texts.append(f"later({text})" if step.later else text)
-    return f"steps([{','.join(texts)}])"
+    strategy, _, number = node.skip.partition("@")
+    if number:
+        strategy = f"{strategy}({steps_of(node.steps)[int(number)].name})"
+    options = "" if strategy == "skip_past_last" else f",[after_match({strategy})]"
+    return f"steps([{','.join(texts)}]{options})"
 
 
 def write_pattern(node: Pattern, names: Names) -> str:  # noqa: C901 - a case for each kind of pattern

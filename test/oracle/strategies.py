@@ -184,6 +184,8 @@ class Generator:
         overlaps: bool = False,
     ) -> None:
         self.choice = choice
+        self.are_numbers = False
+        """Whether the conditions of steps may have aggregates of numbers."""
         self.overlaps = overlaps
         """Draw ``without``, too."""
         self.instants = instants
@@ -337,11 +339,13 @@ class Generator:
             kinds = [
                 f"{kind}@{self.choice(range(len(steps)))}" if self.chance(30) else kind for kind in kinds
             ]
-            return Windowed(" ".join(kinds), below, values, results, "steps", 0, 0, make_list(steps))
+            skip = self.skip(steps)
+            return Windowed(" ".join(kinds), below, values, results, "steps", 0, 0, make_list(steps), skip)
         return Windowed(" ".join(kinds), below, values, results, window, span, step)
 
-    def steps(self, bound: List[Var]) -> List[Term]:
+    def steps(self, bound: List[Var], are_numbers: bool = False) -> List[Term]:
         """Draw the steps of a window with conditions of some variables."""
+        self.are_numbers = are_numbers
         names = ["one", "two", "three"][: self.choice([1, 1, 2, 2, 3])]
         steps: List[Any] = []
         for name in names:
@@ -377,16 +381,52 @@ class Generator:
                 break
         return steps
 
+    def skip(self, steps: List[Any]) -> str:
+        """Draw where the next match begins."""
+        strategy = self.choice(
+            ["skip_past_last", "skip_past_last", "skip_to_next", "skip_to_first", "skip_to_last"]
+        )
+        if strategy in ("skip_past_last", "skip_to_next"):
+            return strategy
+        number = self.choice(range(len(steps)))
+        least, most = steps[0][2], steps[0][3]
+        if number == 0 and least and (strategy == "skip_to_first" or most == 1):
+            return "skip_to_next"  # the other one would not end
+        return f"{strategy}@{number}"
+
     def step_condition(self, bound: List[Var], names: List[str]) -> Term:
         """Draw a condition of a step without arithmetic; it may refer to earlier items."""
         if not bound:
             return atom(self.choice(["true", "true", "fail"]))
         var = self.choice(bound)
-        kind = self.choice(["prev", "prev", "first", "last", "value", "value", "of"])
+        if self.are_numbers and self.chance(10):
+            stamp = atom(self.choice(["t1", "t2"]))
+            earlier = functor(self.choice(["prev", "first", "last"]), 1)(stamp)
+            if self.chance(50):
+                earlier = functor(self.choice(["first", "last"]), 2)(
+                    atom(self.choice([*names, "match"])), stamp
+                )
+            return functor(self.choice(["@<", "@>"]), 2)(earlier, self.choice(range(2, 12)))
+        aggregates = ["sum", "avg", "min", "max", "avg"] if self.are_numbers else []
+        kind = self.choice(
+            ["prev", "prev", "prev", "first", "last", "value", "value", "of", "count", *aggregates]
+        )
         if kind == "value":
             other: Term = self.value(2)
+        elif kind == "count":
+            counted = functor("count", 1)(atom(self.choice([*names, "match"])))
+            return functor(self.choice(["==", "@<", "@>"]), 2)(counted, self.choice([1, 2, 3]))
+        elif kind in aggregates:
+            name = self.choice(["", *names, "match"])
+            other = functor(kind, 2)(atom(name), var) if name else functor(kind, 1)(var)
+        elif kind == "prev":
+            other = (
+                functor("prev", 2)(var, self.choice([1, 2, 3]))
+                if self.chance(50)
+                else functor("prev", 1)(var)
+            )
         elif kind == "of":
-            other = functor(self.choice(["first", "last"]), 2)(atom(self.choice(names)), var)
+            other = functor(self.choice(["first", "last"]), 2)(atom(self.choice([*names, "match"])), var)
         else:
             other = functor(kind, 1)(var)
         goal = functor(self.choice(["==", "\\==", "@<", "@>", "@>"]), 2)(var, other)

@@ -13,7 +13,7 @@ from retalis.prolog.terms.term_traversal import variables
 from .goals import Bindings, GoalError, instance, number, show, unbound, unify
 from .matches import EMPTY_RESULTS, NUMERIC, RESULTS, Event, Match
 from .patterns import Aggregate, Awaited, Both, Pattern, Preceded, Shaped, Star, Windowed, children
-from .row_pattern_matches import steps_of, whole_matches
+from .row_pattern_matches import decided_matches, steps_of
 from .rule_conditions import may_bind
 from .rule_runs import IdentifyingRepetitions
 
@@ -355,7 +355,7 @@ class Streams(IdentifyingRepetitions):
         same = [other for other in elements if other.key == element.key]
         steps, items = steps_of(node.steps), [other.match.bindings for other in same]
         results: List[Any] = []
-        for match in whole_matches(steps, items)[len(whole_matches(steps, items[:-1])) :]:
+        for match in decided_matches(steps, items, node.skip):
             inside = [same[place] for place, _ in match]
             interval = (
                 min(other.match.start for other in inside),

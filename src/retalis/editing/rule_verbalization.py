@@ -23,7 +23,7 @@ from ..events.language.rule_labels import (
     split_label,
 )
 from ..events.language.state_parser import StateForm, declares_state, parse_state_declaration
-from ..events.language.stream_parser import regroup_rate_operator
+from ..events.language.stream_parser import SKIP_STRATEGIES, regroup_rate_operator
 from ..events.program.topic_configuration import GOALS, TOPICS, read_text
 from ..events.streams.aggregates import AGGREGATES
 from ..foundation.errors import UsageError, format_count, format_duration, shorten
@@ -304,6 +304,8 @@ class _ReadingWriter:
         yield f"{indent}- {self._fill(words, operands, texts)}"
         for step in list_items(operands["S"]) or () if "S" in operands else ():
             yield f"{indent}  - {self._describe_step(deref(step))}"
+        for option in list_items(operands["O"]) or () if "O" in operands else ():
+            yield f"{indent}  - {self._describe_step_option(deref(option))}"
         for name, operand in nested.items():
             yield f"{indent}  - **{name}**:"
             yield from self.describe(operand, level + 2, depth + 1)
@@ -337,6 +339,15 @@ class _ReadingWriter:
         if match is None:
             return self.quote(kind)
         return self._fill(match[0].words, {"Q": operands["Q"], **match[1]}, texts)
+
+    def _describe_step_option(self, option: Any) -> str:
+        """Return a line about an option of a row pattern."""
+        strategy: Any = deref(option[1]) if option.__class__ is tuple else option
+        known_strategy = SKIP_STRATEGIES.get(functor_name(strategy))
+        if known_strategy is None:
+            return self.quote(option)
+        operands = {"S": strategy[1]} if strategy.__class__ is tuple else {}
+        return f"the next match begins {self._fill(known_strategy.words, operands)}"
 
     def _describe_step(self, step: Any) -> str:
         """Return a line about a step of a row pattern."""

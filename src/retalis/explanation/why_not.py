@@ -670,7 +670,7 @@ class _WindowEvaluation:
         self._outputs += self._stream.advance_to(match.end)
         values = tuple([self._instantiate(match.values, var) for var in self._node.children[0].vars])
         try:
-            element = StreamElement(match, match.start, match.end, *self._node.spec.key_and_values(values))
+            element = self._node.spec.create_element(match, values, match.start, match.end)
             self._outputs += self._stream.process(element, match.end, 0)
         except RuleError as error:
             self.problem = f", {error.message}"

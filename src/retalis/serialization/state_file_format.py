@@ -33,6 +33,7 @@ MIGRATIONS: Dict[int, Mapping[str, FieldChange]] = {
         "StoredProgram": FieldChange(added={"awaited_types": []}),
         "StoredRule": FieldChange(removed=["name"]),
         "RunState": FieldChange(added={"service_calls": _NO_SERVICE_CALLS}),
+        "StoredState": FieldChange(removed=["preceding_matches"]),
     },
 }
 """By format number: the changes of records, by name, from that format to the next one.

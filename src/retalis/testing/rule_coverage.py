@@ -6,7 +6,6 @@ that never fired may still have parts that matched.
 """
 
 from functools import partial
-from itertools import islice
 from pathlib import Path
 from typing import Collection, Dict, Iterable, Iterator, List, NamedTuple, Sequence, Tuple
 from xml.etree import ElementTree
@@ -44,9 +43,9 @@ class CoveredPart(NamedTuple):
     Attributes:
         type: a type of `PART_TYPES`.
         place: file and line of the rule or clause, as ``FILE:LINE``; "" for subscriptions and memories.
-        text: the part. A condition has two parts, its outcomes true and false; so has a memory: stored and read.
+        text: the part. A condition has two parts, its outcomes true and false.
         uses: matches of a rule or branch, 1 for a pattern that has matched, tests of a condition with this outcome,
-            calls of a clause, outputs, or stored events or look-ups of a memory.
+            calls of a clause, outputs, or stored events.
         rule: name of the rule; "" for parts that are in no rule.
     """
 
@@ -126,11 +125,8 @@ class CoverageRecorder:
         for subscription in status.subscriptions:
             text = f"{subscription.id} of topic {subscription.topic}"
             yield CoveredPart(SUBSCRIPTION, "", _shorten(text), subscription.sent)
-        memories = self._engine.program.knowledge.memories
-        for instance in islice(memories, MAX_LISTED):
-            name = self._engine.program.logic.brief(instance.id)
-            yield CoveredPart(MEMORY, "", _shorten(f"{name}, stored"), instance.memory.added_count)
-            yield CoveredPart(MEMORY, "", _shorten(f"{name}, read"), memories.lookup_count(instance.id))
+        for memory in status.memories:
+            yield CoveredPart(MEMORY, "", _shorten(memory.id), memory.added)
 
     def _read_patterns(self, rule: EventRule) -> Iterator[_RulePattern]:
         """Yield the different patterns of events in a rule."""

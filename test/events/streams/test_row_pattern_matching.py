@@ -172,3 +172,135 @@ def test_preferred_alternatives_replace_certain_match() -> None:
     program.feed(" ".join(f"e({x})@{x}" for x in range(101)) + " e(1)@200 e(-1)@300")
     assert program.warnings
     assert program.feed("e(5)@301 e(6)@302 e(6)@303 e(500)@304 e(-2)@305") == "s([5,6,6,500])@301-305"
+
+
+OVERLAPS = "s(L) <- aggregate(list(X), e(X), L, steps([{}], [after_match({})]))."
+
+
+@pytest.mark.parametrize(
+    ("steps", "strategy", "expected"),
+    [
+        ("a(2) where X < 4", "skip_past_last", "s([1,2])@0-1 s([1,2])@5-6"),
+        ("a(2) where X < 4", "skip_to_next", "s([1,2])@0-1 s([2,3])@1-2 s([1,2])@5-6 s([2,0])@6-7"),
+        ("a, b(2) where X > prev(X)", "skip_to_last(b)", "s([1,2,3])@0-2 s([3,4,9])@2-4"),
+        ("a(3) where X > prev(X)", "skip_to_last(a)", "s([1,2,3])@0-2 s([3,4,9])@2-4"),
+        (
+            "a, b(2) where X > prev(X)",
+            "skip_to_first(b)",
+            "s([1,2,3])@0-2 s([2,3,4])@1-3 s([3,4,9])@2-4",
+        ),
+        # the step b has no event in the matches [1,2], so the next match begins after the last one
+        (
+            "a where X < 5, b(0, 1) where X > 8, c where X < 3",
+            "skip_to_first(b)",
+            "s([1,2])@0-1 s([4,9,1])@3-5 s([1,2])@5-6",
+        ),
+    ],
+)
+def test_next_match_begins_by_strategy(steps: str, strategy: str, expected: str) -> None:
+    stream = " ".join(f"e({x})@{second}" for second, x in enumerate([1, 2, 3, 4, 9, 1, 2, 0]))
+    assert outputs_of(OVERLAPS.format(steps, strategy), stream) == expected
+
+
+def test_overlapping_match_waits_for_same_start_only() -> None:
+    """The greedy step d may continue the first match, while the second one is complete."""
+    rule = OVERLAPS.format("a where X < 3, b(1, 4) where X > 5", "skip_to_next")
+    assert outputs_of(rule, "e(1)@0 e(7)@1 e(2)@2 e(8)@3 e(9)@4 e(0)@5") == "s([1,7])@0-2 s([2,8,9])@2-5"
+
+
+def test_skip_to_first_event_of_match_is_reported_once() -> None:
+    program = ProgramRunner(OVERLAPS.format("a(0, 1) where X = 1, b where X > 1", "skip_to_first(b)"))
+    assert program.feed("e(1)@0 e(2)@1 e(3)@2") == "s([1,2])@0-1 s([2])@1-1 s([3])@2-2"
+    assert ["leads to the first event of the match" in str(warning) for warning in program.warnings] == [True]
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ("[after_match(skip_to_first(a))]", "would begin at the first event of the match, without end"),
+        ("[after_match(skip_to_last(a))]", "would begin at the first event of the match, without end"),
+        ("[after_match(skip_to_last(c))]", "unknown step; the steps are a, b"),
+        ("[after_match(skip_to_frist(b))]", r"skip_to_last\(Step\); did you mean skip_to_first\?"),
+        ("[after_match(skip_to_last)]", "after_match of steps needs one of skip_past_last"),
+        ("[after_match(skip_to_next), after_match(skip_to_next)]", "two options are after_match"),
+        ("[skip_to_next]", "the option of steps is"),
+        ("skip_to_next", "steps needs a list of options"),
+    ],
+)
+def test_invalid_option_of_steps_is_refused(options: str, message: str) -> None:
+    with pytest.raises(ProgramErrors, match=message):
+        ProgramRunner(f"s(L) <- aggregate(list(X), e(X), L, steps([a, b where X > 1], {options})).")
+
+
+@pytest.mark.parametrize(
+    ("steps", "expected"),
+    [
+        ("a(1, many) where avg(X) < 3", "s([1,2,3,4])@0-4 s([1,2,0,8])@5-9"),
+        # the event that would exceed the sum ends the step
+        ("a(1, many, until(sum(X) > 6))", "s([1,2,3])@0-3 s([4])@3-4 s([1,2,0])@5-8"),
+        ("a(1, many) where (count(a) < 3, X < 9)", "s([1,2])@0-2 s([3,4])@2-4 s([1,2])@5-7 s([0,8])@7-9"),
+        (
+            "a(1, many) where count(match) =< 2, b where X > max(a, X)",
+            "s([1,2,3])@0-2 s([4,9])@3-5 s([1,2])@5-7 s([0,8,90])@7-9",
+        ),
+        ("a(2) where X < 9, b where X > 2 * avg(a, X)", "s([3,4,9])@2-4 s([2,0,8])@6-8"),
+        ("a(2), b where X < min(match, X) + 1", "s([4,9,1])@3-5"),
+        ("a(3, many) where X > prev(X, 2)", "s([1,2,3,4,9])@0-5"),
+        ("a(3, many) where stddev(X) < 1.1", "s([1,2,3])@0-3 s([1,2,0])@5-8"),
+    ],
+)
+def test_condition_uses_aggregates_and_distant_events(steps: str, expected: str) -> None:
+    stream = " ".join(f"e({x})@{second}" for second, x in enumerate([1, 2, 3, 4, 9, 1, 2, 0, 8]))
+    outputs = outputs_of(STARS.format(steps), f"{stream} e(90)@9")
+    assert outputs == expected
+
+
+def test_aggregate_without_value_skips_condition() -> None:
+    steps = "a(0, 1) where X > 100, b where X > avg(a, X), c where X > 100 + count(a)"
+    assert outputs_of(STARS.format(steps), "e(1)@0 e(101)@1") == "s([1,101])@0-1"
+
+
+def test_value_that_cannot_be_aggregated_refuses_event() -> None:
+    program = ProgramRunner(STARS.format("a(1, many) where avg(X) < 3"))
+    assert program.feed("e(1)@1 e(x)@2 e(9)@3") == "s([1])@1-3"
+    (error,) = program.errors
+    assert "at event e(x): aggregate avg: the value is 'x': expected a number" in str(error)
+
+
+@pytest.mark.parametrize(
+    ("condition", "message"),
+    [
+        ("X > prev(X, 0)", r"prev\(X, N\) needs a number of events from 1 to 100"),
+        ("X > prev(X, 101)", r"prev\(X, N\) needs a number of events from 1 to 100"),
+        ("X > avg(c, X)", "unknown step; the steps are a, b"),
+        ("count(c) > 1", "unknown step; the steps are a, b"),
+        ("X > avg(Y)", "avg needs a variable that the pattern binds"),
+    ],
+)
+def test_invalid_navigation_is_refused(condition: str, message: str) -> None:
+    with pytest.raises(ProgramErrors, match=message):
+        ProgramRunner(STARS.format(f"a, b where {condition}"))
+
+
+def test_largest_of_two_numbers_is_no_aggregate() -> None:
+    assert outputs_of(STARS.format("a, b where X >= max(e, 4)"), "e(1)@0 e(3)@1 e(4)@2") == "s([3,4])@1-2"
+
+
+STAMPED = "s(D) <- aggregate([{}], e(X), [S, E], steps([{}])) where D is E - S."
+
+
+@pytest.mark.parametrize(
+    ("kinds", "steps", "expected"),
+    [
+        ("first(t1), last(t2)", "a(2) where X < 5", "s(2)@0-2"),
+        ("of(a, last(t2)), of(b, first(t1))", "a(2), b where X > 5", "s(2)@0-5"),
+        ("min(t1), max(t2 + 1)", "a(2) where X < 5", "s(3)@0-2"),
+        ("first(t1), last(t2)", "a where X < 5, later(b) where (t2(E), E - first(a, t1) > 3)", "s(5)@0-5"),
+        ("first(t1), last(t2)", "a(1, many) where (t1(S), S - prev(t2) < 1, X < 9)", "s(2)@0-5 s(0)@6-8"),
+        ("first(t1), last(t2)", "a, b where (t1(S), S - prev(t2) > 1)", "s(4)@1-5"),
+        ("first(t1), last(t2)", "a(1, many, until((t2(E), E - first(match, t1) > 2)))", "s(2)@0-5 s(2)@4-8"),
+    ],
+)
+def test_steps_use_stamps_of_events(kinds: str, steps: str, expected: str) -> None:
+    stream = "e(1)@0-1 e(2)@1-2 e(9)@4-5 e(8)@6-6 e(7)@7-8"
+    assert outputs_of(STAMPED.format(kinds, steps), stream) == expected

@@ -533,6 +533,7 @@ EVENT_OPERATORS: Tuple[EventOperator, ...] = (
                 "no Q has happened for N seconds, or M seconds have passed since the first of them; R is K in them",
             ),
             PatternReading("aggregate(K,Q,R,steps(S))", "Q happened by these steps; R is K in them"),
+            PatternReading("aggregate(K,Q,R,steps(S,O))", "Q happened by these steps; R is K in them"),
         ),
     ),
     EventOperator(

@@ -65,6 +65,7 @@ from .pattern_tree import (
 )
 from .stream_parser import (
     NOT_PRECEDED,
+    insert_stamps,
     is_computed_timeout,
     is_event,
     parse_measure,
@@ -357,8 +358,17 @@ class PatternReader:
             raise self.create_error(message, term, 2)
         return seconds
 
-    def read_goal(self, parent: CompoundTerm, position: int, operator: str) -> Term:
+    def read_goal(
+        self, parent: CompoundTerm, position: int, operator: str, has_interval: bool = False
+    ) -> Term:
         """Return the goal in argument ``position`` of a term, and record its calls.
+
+        Args:
+            parent: the term.
+            position: position of the argument.
+            operator: name of the operator, for errors.
+            has_interval: whether ``t1/1`` and ``t2/1`` are defined for the goal, beside the operators that define
+                them.
 
         Raises:
             RuleError: if the goal or a part of it is not callable.
@@ -372,10 +382,8 @@ class PatternReader:
                 )
                 raise self.create_error(f"{operator} needs a goal{hint}", call.parent, call.position)
             self.goals.append(call)
-        if (
-            operator not in EVENT_OPERATORS_BY_NAME
-            or not EVENT_OPERATORS_BY_NAME[operator].has_interval_predicates
-        ):
+        event_operator = EVENT_OPERATORS_BY_NAME.get(operator)
+        if not has_interval and (event_operator is None or not event_operator.has_interval_predicates):
             self.interval_calls += required_interval_calls(parent, position)
         return deref(parent[position])
 
@@ -485,7 +493,9 @@ def check_window(
         RuleError: if a numeric measure gets a value that can never be a number.
     """
     for aggregate_name, value in zip(window_pattern.kinds, window_pattern.values):
-        if value is not None and AGGREGATES[aggregate_name].is_numeric and not _may_be_numeric(value):
+        if value is None or not AGGREGATES[aggregate_name].is_numeric:
+            continue
+        if not _may_be_numeric(insert_stamps(value) if window_pattern.window.steps else value):
             raise RuleError(
                 f"{aggregate_name} needs numbers or arithmetic expressions",
                 place_of(deref(term[1])) or place_of(term),

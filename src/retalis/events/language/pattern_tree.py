@@ -12,6 +12,7 @@ from typing import Any, Dict, FrozenSet, Hashable, List, Mapping, NamedTuple, Op
 from ...foundation.errors import Place
 from ...prolog.terms.term_traversal import rebuild, variables, variant_key
 from ...prolog.terms.types import Functor, Term, Var, functor
+from ..streams.row_pattern_automaton import RowPatternSkip
 
 Pattern = Union[
     "EventPattern",
@@ -193,6 +194,7 @@ class WindowSpec(NamedTuple):
         running: whether each match emits a result, not only the end of a window.
         steps: the steps of a row pattern.
         navigated_vars: the variables of the pattern that conditions of steps use.
+        skip: where the next match of a row pattern begins; None if that is not stated.
     """
 
     kind: str
@@ -204,6 +206,7 @@ class WindowSpec(NamedTuple):
     running: bool = False
     steps: Tuple[RowPatternStep, ...] = ()
     navigated_vars: Tuple[Var, ...] = ()
+    skip: Optional[RowPatternSkip] = None
 
     @property
     def max_duration(self) -> Optional[int]:
@@ -457,7 +460,8 @@ def _distinguishing_name_and_numbers(node: Pattern) -> Tuple[str, Tuple[int, ...
         settings = " ".join(map(repr, node.settings))
         name = f"{node.window.kind} {' '.join(node.kinds)} {settings}"
         # Only the plain fields of steps: their conditions are terms, and compared as such.
-        name += "".join(map(repr, (*(step[:5] for step in node.window.steps), *node.scopes)))
+        plain_parts = (*(step[:5] for step in node.window.steps), *node.scopes, node.window.skip)
+        name += "".join(map(repr, plain_parts))
         window = node.window
         lengths = window.span, window.step, window.max_count, window.gap, window.max_length or 0
         return name, (*lengths, int(window.running), int(node.is_listed))

@@ -10,10 +10,11 @@ event, optionally with a rate operator.
 
 A row pattern ``steps([low, high(2, 5) where T > prev(T)])`` corresponds to MATCH_RECOGNIZE of SQL. A step is a
 pattern variable with a quantifier: ``high(2, 5)`` is ``HIGH{2,5}``, ``reluctant`` makes it reluctant, and its
-``where`` goal is the DEFINE condition. ``prev(X)``, ``first(Step, X)`` and ``last(Step, X)`` are the navigation
-functions; the parser replaces each of them by a fresh variable and records in a `RowNavigation` the value to bind it
-to. `split_condition` splits a condition at its commas into parts, so that each part can be evaluated as soon as the
-rows that it refers to exist.
+``where`` goal is the DEFINE condition. ``prev(X, N)``, ``first(Step, X)`` and ``last(Step, X)`` are the navigation
+functions, ``avg(Step, X)`` and others the aggregates of `STEP_AGGREGATES`; the parser replaces each of them by a
+fresh variable and records in a `RowNavigation` the value to bind it to. `split_condition` splits a condition at its
+commas into parts, so that each part can be evaluated as soon as the rows that it refers to exist. The option
+``after_match`` is AFTER MATCH SKIP.
 """
 
 from typing import (
@@ -36,9 +37,21 @@ from ...prolog.terms import timestamps
 from ...prolog.terms.list_terms import list_items, make_list
 from ...prolog.terms.term_traversal import variables
 from ...prolog.terms.timestamps import MAX_TIMESTAMP, SECOND, from_seconds
-from ...prolog.terms.types import COMMA, Atom, CompoundTerm, Term, Var, atom, deref, functor, functor_name
+from ...prolog.terms.types import (
+    COMMA,
+    NIL,
+    Atom,
+    CompoundTerm,
+    Term,
+    Var,
+    atom,
+    deref,
+    functor,
+    functor_name,
+)
 from ..streams.aggregates import AGGREGATES, Setting
 from ..streams.rate_operators import RATE_OPERATORS
+from ..streams.row_pattern_automaton import WHOLE_MATCH, RowPatternSkip
 from .event_operators import OPERATOR_NAMES
 from .likely_mistakes import bracket_advice
 from .pattern_tree import (
@@ -66,13 +79,49 @@ MAX_WINDOW_ITEMS = 1_000_000
 """Maximum size of a window that contains a number of events."""
 MAX_STEPS = 100
 """Maximum number of steps of a row pattern."""
+_UNIFY = functor("=", 2)
 _LATER, _UNTIL, _WHERE = functor("later", 1), functor("until", 1), functor("where", 2)
-_STEPS = functor("steps", 1)
+_STEPS, _STEPS_WITH_OPTIONS = functor("steps", 1), functor("steps", 2)
+_AFTER_MATCH = functor("after_match", 1)
+_STEP_OPTION_NOTATION = "the option of steps is after_match(Strategy)"
 _GREEDY = "many"
 _RELUCTANT = "reluctant"
 _NAVIGATIONS = {functor("prev", 1): "prev", functor("first", 1): "first", functor("last", 1): "last"}
 _STEP_NAVIGATIONS = {functor("first", 2): "first", functor("last", 2): "last"}
+_PREV_WITH_DISTANCE = functor("prev", 2)
+_MAX_DISTANCE = 100
+"""Maximum number of events between that of ``prev(X, N)`` and the current one."""
+STEP_AGGREGATES = ("count", "sum", "avg", "min", "max", "stddev")
+"""Aggregates of conditions; their states are small and immutable, because the states of a match share them."""
+_EVALUABLE_WITH_TWO_ARGUMENTS = ("min", "max")
+_MATCH_NAME = "match"
+ROW_START, ROW_END = Var(), Var()
+"""Variables of the start and of the end of a row, in conditions of steps and in the measures of row patterns."""
+_ROW_STAMPS = {"t1": ROW_START, "t2": ROW_END}
+_STAMP_GOALS = {functor(name, 1): var for name, var in _ROW_STAMPS.items()}
+_UNKNOWN_STEP = -2
 _STEP_NOTATION = "Name, Name(N), Name(N, M), Name(N, many), with reluctant or until(Goal) behind the numbers"
+
+
+class SkipStrategy(NamedTuple):
+    """Strategy of ``after_match`` of a row pattern.
+
+    Attributes:
+        notation: its notation.
+        words: where the next match begins, in words; S is the step.
+    """
+
+    notation: str
+    words: str
+
+
+SKIP_STRATEGIES = {
+    "skip_past_last": SkipStrategy("skip_past_last", "after the last event of a match"),
+    "skip_to_next": SkipStrategy("skip_to_next", "at the event after the first one of a match"),
+    "skip_to_first": SkipStrategy("skip_to_first(Step)", "at the first event of step S in a match"),
+    "skip_to_last": SkipStrategy("skip_to_last(Step)", "at the last event of step S in a match"),
+}
+"""The strategies of ``after_match`` of row patterns (AFTER MATCH SKIP)."""
 
 CreateError = Callable[..., RuleError]
 """Takes a message, a term, and optionally the position of the argument that is wrong; returns the error."""
@@ -80,7 +129,8 @@ CreateError = Callable[..., RuleError]
 
 _WINDOW_NOTATIONS = (
     "last(Seconds), last(N, events), last(Seconds, every(Seconds)), every(Seconds), every(Seconds, first), "
-    "every(N, events), running(every(...)), session(Seconds), session(Seconds, max(Seconds)), or steps([Step, ...])"
+    "every(N, events), running(every(...)), session(Seconds), session(Seconds, max(Seconds)), steps([Step, ...]), "
+    "or steps([Step, ...], [Option, ...])"
 )
 
 
@@ -310,9 +360,8 @@ def _parse_window_term(
         pattern_variables: the variables that the pattern binds.
     """
     name = window[0].name if window.__class__ is tuple else ""
-    if name == "steps" and len(window) == 2:
-        steps, navigated_vars = parse_row_pattern(reader, window, pattern_variables)
-        return WindowSpec("steps", steps=steps, navigated_vars=navigated_vars)
+    if name == "steps" and len(window) in (2, 3):
+        return parse_row_pattern(reader, window, pattern_variables)
     if name == "running" and len(window) == 2:
         tumbling = _parse_window_term(reader, deref(window[1]), term, pattern_variables)
         # Sliding windows and row patterns emit at each match in any case, and hopping windows overlap.
@@ -434,7 +483,7 @@ def window_term(window: WindowSpec, to_seconds: Callable[[int], float] = timesta
         to_seconds: converts nanoseconds to the numbers in the term.
     """
     if window.kind == "steps":
-        return steps_term(window.steps)
+        return row_pattern_term(window)
     every, every_with_option = functor("every", 1), functor("every", 2)
     span = to_seconds(window.span)
     if window.kind == "last":
@@ -505,19 +554,32 @@ def _create_error(message: str, term: Term, position: int = 0) -> RuleError:
 
 
 class RowNavigation(NamedTuple):
-    """Navigation of a condition to a value in an earlier row.
+    """Navigation of a condition to a value in an earlier row, or aggregate of values in the rows so far.
 
     Attributes:
-        kind: ``prev`` for the preceding row, ``first`` or ``last`` for a row of a step.
-        step: number of the step; meaningless for ``prev``; -1 if there is no such step.
-        var: variable of the pattern in that row.
+        kind: ``prev`` for an earlier row, ``first`` or ``last`` for a row of a step, or the name of an aggregate.
+        step: number of the step, or `WHOLE_MATCH` for all rows; for ``prev`` the distance of the row. Another number
+            if there is no such step or distance.
+        var: variable of the pattern; None for ``count``.
         placeholder: variable that replaces the navigation in the condition.
     """
 
     kind: str
     step: int
-    var: Var
+    var: Optional[Var]
     placeholder: Var
+
+    @property
+    def is_aggregate(self) -> bool:
+        """True if it is an aggregate."""
+        return self.kind in STEP_AGGREGATES
+
+    @property
+    def is_valid(self) -> bool:
+        """True if its step or distance exists."""
+        if self.kind == "prev":
+            return 1 <= self.step <= _MAX_DISTANCE
+        return self.step >= 0 or self.step == WHOLE_MATCH
 
 
 class StepCondition(NamedTuple):
@@ -534,8 +596,8 @@ class StepCondition(NamedTuple):
 
 def parse_row_pattern(
     reader: "PatternReader", row_pattern_term: CompoundTerm, pattern_variables: Set[Var]
-) -> Tuple[Tuple[RowPatternStep, ...], Tuple[Var, ...]]:
-    """Return the steps of a row pattern, and the variables of the pattern that their conditions use.
+) -> WindowSpec:
+    """Return the window of a row pattern.
 
     Args:
         reader: reads goals, and creates errors with places.
@@ -543,7 +605,7 @@ def parse_row_pattern(
         pattern_variables: the variables that the event pattern binds.
 
     Raises:
-        RuleError: if a step is malformed or can never end.
+        RuleError: if a step or option is malformed, or a step can never end.
     """
     items = list_items(row_pattern_term[1])
     if not items or len(items) > MAX_STEPS:
@@ -563,14 +625,70 @@ def parse_row_pattern(
         for goal in step.goals:
             parts = split_condition(goal, names, number, pattern_variables)
             for navigation in (navigation for part in parts for navigation in part.navigations):
-                if navigation.var not in pattern_variables or navigation.step < 0:
+                known_vars = (None, ROW_START, ROW_END, *pattern_variables)
+                has_variable = navigation.var in known_vars
+                if not (has_variable and navigation.is_valid):
                     raise _navigation_error(reader, navigation, names, row_pattern_term)
             mentioned = [
                 *variables(goal),
                 *(navigation.var for part in parts for navigation in part.navigations),
             ]
-            navigated_vars += [var for var in mentioned if var in pattern_variables]
-    return tuple(steps), tuple(dict.fromkeys(navigated_vars))
+            navigated_vars += [var for var in mentioned if var is not None and var in pattern_variables]
+    options = deref(row_pattern_term[2]) if len(row_pattern_term) == 3 else NIL
+    return _parse_step_options(reader, options, row_pattern_term, steps)._replace(
+        steps=tuple(steps), navigated_vars=tuple(dict.fromkeys(navigated_vars))
+    )
+
+
+def _parse_step_options(
+    reader: "PatternReader", options: Any, row_pattern_term: CompoundTerm, steps: Sequence[RowPatternStep]
+) -> WindowSpec:
+    """Return the window of a row pattern with its options only."""
+    items = list_items(options)
+    if items is None:
+        raise reader.create_error(
+            f"steps needs a list of options; {_STEP_OPTION_NOTATION}", row_pattern_term, 2
+        )
+    window = WindowSpec("steps")
+    for item in items:
+        option: Any = deref(item)
+        if option.__class__ is not tuple or option[0] is not _AFTER_MATCH:
+            raise reader.create_error(_STEP_OPTION_NOTATION, row_pattern_term, 2)
+        if window.skip is not None:
+            raise reader.create_error("two options are after_match", row_pattern_term, 2)
+        window = window._replace(skip=_parse_skip(reader, deref(option[1]), option, steps))
+    return window
+
+
+def _parse_skip(
+    reader: "PatternReader", strategy: Any, option: CompoundTerm, steps: Sequence[RowPatternStep]
+) -> RowPatternSkip:
+    """Return where the next match begins."""
+    takes_step = strategy.__class__ is tuple
+    known_strategy = SKIP_STRATEGIES.get(functor_name(strategy))
+    if known_strategy is None or takes_step != known_strategy.notation.endswith("(Step)"):
+        notations = ", ".join(known.notation for known in SKIP_STRATEGIES.values())
+        near_name = did_you_mean(functor_name(strategy), SKIP_STRATEGIES)
+        raise reader.create_error(f"after_match of steps needs one of {notations}{near_name}", option, 1)
+    if not takes_step:
+        return RowPatternSkip(strategy.name)
+    names = [step.name for step in steps]
+    name = functor_name(deref(strategy[1]))
+    if name not in names:
+        raise reader.create_error(
+            f"unknown step; the steps are {', '.join(names)}{did_you_mean(name, names)}", strategy, 1
+        )
+    number = names.index(name)
+    # The first event of each match is the first one of a first step that cannot be empty.
+    is_first = number == 0 and steps[0].min_count > 0
+    if is_first and (strategy[0].name == "skip_to_first" or steps[0].max_count == 1):
+        raise reader.create_error(
+            f"the next match would begin at the first event of the match, without end: {strategy[0].name} needs "
+            "an event after the first one, such as that of a later step; or use skip_to_next",
+            strategy,
+            1,
+        )
+    return RowPatternSkip(strategy[0].name, number)
 
 
 def _parse_step(reader: "PatternReader", term: Any, row_pattern_term: CompoundTerm) -> RowPatternStep:
@@ -579,7 +697,7 @@ def _parse_step(reader: "PatternReader", term: Any, row_pattern_term: CompoundTe
     goal: Optional[Term] = None
     while unwrapped.__class__ is tuple and unwrapped[0] in (_LATER, _WHERE):
         if unwrapped[0] is _WHERE and goal is None:
-            goal = reader.read_goal(unwrapped, 2, "where")
+            goal = reader.read_goal(unwrapped, 2, "where", has_interval=True)
         elif unwrapped[0] is _LATER and not skips_rows and deref(unwrapped[1]).__class__ in (Atom, tuple):
             skips_rows = True
         else:
@@ -604,7 +722,7 @@ def _parse_quantified_step(
     if option.__class__ is Atom and option.name == _RELUCTANT:
         reluctant = True
     elif option.__class__ is tuple and option[0] is _UNTIL:
-        until = reader.read_goal(option, 1, "until")
+        until = reader.read_goal(option, 1, "until", has_interval=True)
     if reluctant or until is not None:
         arguments.pop()
     minimum: Any = arguments[0] if arguments else None
@@ -649,7 +767,11 @@ def _require_step_ends(
 def _navigation_error(
     reader: "PatternReader", navigation: RowNavigation, names: Sequence[str], row_pattern_term: CompoundTerm
 ) -> RuleError:
-    if navigation.step < 0:
+    if not navigation.is_valid and navigation.kind == "prev":
+        return reader.create_error(
+            f"prev(X, N) needs a number of events from 1 to {_MAX_DISTANCE}", row_pattern_term, 1
+        )
+    if not navigation.is_valid:
         return reader.create_error(f"unknown step; the steps are {', '.join(names)}", row_pattern_term, 1)
     return reader.create_error(
         f"{navigation.kind} needs a variable that the pattern binds", row_pattern_term, 1
@@ -704,6 +826,8 @@ def _replace_navigations(goal: Term, names: Sequence[str], step: int) -> StepCon
         term = deref(term)
         if term.__class__ is not tuple:
             return term
+        if term[0] in _STAMP_GOALS:
+            return (_UNIFY, term[1], _STAMP_GOALS[term[0]])
         navigation = _parse_navigation(term, names, step)
         if navigation is None:
             return (term[0], *[replace(arg) for arg in term[1:]])
@@ -715,20 +839,69 @@ def _replace_navigations(goal: Term, names: Sequence[str], step: int) -> StepCon
 
 def _parse_navigation(term: CompoundTerm, names: Sequence[str], step: int) -> Optional[RowNavigation]:
     """Return the navigation that a term denotes, or None."""
-    kind = _NAVIGATIONS.get(term[0])
-    var: Any = deref(term[-1])
-    if kind is not None and var.__class__ is Var:
-        return RowNavigation(kind, step, var, Var())
-    kind = _STEP_NAVIGATIONS.get(term[0])
-    name: Any = deref(term[1])
-    if kind is None or name.__class__ is not Atom or var.__class__ is not Var:
+    name = term[0].name
+    first: Any = deref(term[1])
+    last: Any = deref(term[-1])
+    first_var, last_var = insert_stamps(first), insert_stamps(last)
+    if term[0] is _PREV_WITH_DISTANCE and first_var.__class__ is Var:
+        return RowNavigation("prev", last if last.__class__ is int else 0, first_var, Var())
+    if term[0] in _NAVIGATIONS and last_var.__class__ is Var:
+        kind = _NAVIGATIONS[term[0]]
+        return RowNavigation(kind, 1 if kind == "prev" else step, last_var, Var())
+    if term[0] in _STEP_NAVIGATIONS and first.__class__ is Atom and last_var.__class__ is Var:
+        return RowNavigation(name, _find_step(first.name, names), last_var, Var())
+    if name not in STEP_AGGREGATES or len(term) > 3:
         return None
-    return RowNavigation(kind, names.index(name.name) if name.name in names else -1, var, Var())
+    has_value = AGGREGATES[name].has_value
+    if len(term) - 1 == has_value and last.__class__ is Var:
+        return RowNavigation(name, step, last, Var())
+    if len(term) - 2 != has_value or first.__class__ is not Atom or (has_value and last.__class__ is not Var):
+        return None
+    number = _find_step(first.name, names)
+    # `max(e, X)` is the larger one of two numbers.
+    if number == _UNKNOWN_STEP and name in _EVALUABLE_WITH_TWO_ARGUMENTS:
+        return None
+    return RowNavigation(name, number, last if has_value else None, Var())
 
 
-def steps_term(steps: Sequence[RowPatternStep]) -> Term:
+def _find_step(name: str, names: Sequence[str]) -> int:
+    """Return the number of a step; `WHOLE_MATCH` for ``match``, unless it is the name of a step."""
+    if name in names:
+        return names.index(name)
+    return WHOLE_MATCH if name == _MATCH_NAME else _UNKNOWN_STEP
+
+
+def insert_stamps(term: Term) -> Any:
+    """Return a term with `ROW_START` and `ROW_END` in place of the atoms ``t1`` and ``t2``."""
+    term = deref(term)
+    if term.__class__ is Atom:
+        return _ROW_STAMPS.get(term.name, term)
+    return (term[0], *map(insert_stamps, term[1:])) if term.__class__ is tuple else term
+
+
+def uses_stamps(pattern: WindowPattern) -> bool:
+    """Return whether the measures or conditions of a row pattern use the stamps of its rows."""
+    names = [step.name for step in pattern.window.steps]
+    terms = [insert_stamps(value) for value in pattern.values if value is not None]
+    for number, step in enumerate(pattern.window.steps):
+        for part in (part for goal in step.goals for part in split_condition(goal, names, number, ())):
+            terms += [
+                part.goal,
+                *(navigation.var for navigation in part.navigations if navigation.var is not None),
+            ]
+    return any(var in (ROW_START, ROW_END) for term in terms for var in variables(term))
+
+
+def row_pattern_term(window: WindowSpec) -> Term:
     """Return the term of a row pattern."""
-    return _STEPS(make_list([step_term(step) for step in steps]))
+    steps = make_list([step_term(step) for step in window.steps])
+    if window.skip is None:
+        return _STEPS(steps)
+    name, step = window.skip
+    strategy: Term = atom(name)
+    if SKIP_STRATEGIES[name].notation != name:
+        strategy = functor(name, 1)(atom(window.steps[step].name))
+    return _STEPS_WITH_OPTIONS(steps, make_list([_AFTER_MATCH(strategy)]))
 
 
 def step_term(step: RowPatternStep) -> Term:

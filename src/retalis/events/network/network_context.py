@@ -256,6 +256,14 @@ class NetworkContext:
             )
         self._warn_rarely(rule, "dropped", text, lambda: rule.dropped_count)
 
+    def report_endless_skip(self, rule: "EventRule") -> None:
+        """Report that the next match of a row pattern would begin at the first event of a match."""
+        text = (
+            ": after_match of steps leads to the first event of the match, where the same match would be found "
+            "without end; the next match begins at the event after it"
+        )
+        self._warn_rarely(rule, "endless skip", text, lambda: 1)
+
     def report_dropped_keys(self, rule: "EventRule") -> None:
         """Report that keys of a rule were dropped."""
         text = (

@@ -15,7 +15,20 @@ operator itself (`streams`), and a function that makes values from its results.
 
 from fractions import Fraction
 from functools import partial
-from typing import TYPE_CHECKING, Any, Callable, Dict, Hashable, List, Optional, Sequence, Set, Tuple, Union
+from typing import (
+    TYPE_CHECKING,
+    Any,
+    Callable,
+    Container,
+    Dict,
+    Hashable,
+    List,
+    Optional,
+    Sequence,
+    Set,
+    Tuple,
+    Union,
+)
 
 from ...foundation.errors import RuleError, shorten
 from ...prolog.syntax.term_writer import write_term
@@ -41,7 +54,16 @@ from ..language.pattern_tree import (
     always_bound_by,
     bound_by,
 )
-from ..language.stream_parser import NOT_PRECEDED, positive_nanoseconds, split_condition
+from ..language.stream_parser import (
+    NOT_PRECEDED,
+    ROW_END,
+    ROW_START,
+    RowNavigation,
+    insert_stamps,
+    positive_nanoseconds,
+    split_condition,
+    uses_stamps,
+)
 from ..matches.expiration import UNLIMITED, Retention
 from ..matches.match_buffer import key_function
 from ..matches.match_types import PartialMatch, unify_sides
@@ -49,12 +71,17 @@ from ..matches.network_options import NetworkOptions
 from ..streams.absence_timeout import AbsenceTimeout, ComputedAbsenceTimeout, Correlation, NotPrecededFilter
 from ..streams.aggregates import AGGREGATES
 from ..streams.rate_operators import RATE_OPERATORS
-from ..streams.row_pattern import (
+from ..streams.row_pattern import RowPatternWindow
+from ..streams.row_pattern_automaton import (
+    SKIP_PAST_LAST,
+    WHOLE_MATCH,
     RowPatternNFA,
+    RowPatternSkip,
     RowPatternVariable,
-    RowPatternWindow,
+    StepAggregate,
     StepNavigation,
     StepTest,
+    TestedAggregate,
 )
 from ..streams.session_window import SessionWindow
 from ..streams.stream_operators import StreamElement, StreamOperator
@@ -79,41 +106,60 @@ GoalTestFactory = Callable[[Term, Sequence[Var], str], GoalTest]
 """Returns a function that calls a goal, given the goal, its variables, and its name in reports."""
 
 
-def compile_row_pattern(window: WindowSpec, value_count: int, compile_test: GoalTestFactory) -> RowPatternNFA:
+def compile_row_pattern(
+    window: WindowSpec, element_vars: Sequence[Optional[Var]], compile_test: GoalTestFactory
+) -> RowPatternNFA:
     """Return the NFA of the row pattern of a window.
 
     Args:
         window: the window.
-        value_count: number of values of an element that precede those that conditions use.
+        element_vars: variables of the values of an element; None for a measured value.
         compile_test: returns a function that calls a goal.
     """
-    position_of = {var: position for position, var in enumerate(window.navigated_vars, value_count)}
+    position_of = {var: position for position, var in enumerate(element_vars) if var is not None}
     step_names = [step_form.name for step_form in window.steps]
     navigation_numbers: Dict[StepNavigation, int] = {}
+    aggregate_numbers: Dict[StepAggregate, int] = {}
+    # The navigations to earlier elements stand in the order of their distances, see `advance_navigations`.
+    for distance in range(1, _find_max_distance(window, step_names, position_of) + 1):
+        navigation_numbers[StepNavigation("prev", distance)] = distance - 1
+
+    def test_aggregate(navigation: RowNavigation, position: int) -> TestedAggregate:
+        value_position = None if navigation.var is None else position_of[navigation.var]
+        aggregate = StepAggregate(AGGREGATES[navigation.kind], navigation.step, value_position)
+        index = aggregate_numbers.setdefault(aggregate, len(aggregate_numbers))
+        return TestedAggregate(index, aggregate, navigation.step in (position, WHOLE_MATCH))
 
     def compile_tests(goal: Term, position: int, title: str) -> Tuple[StepTest, ...]:
         tests = []
         for condition in split_condition(goal, step_names, position, position_of):
             own_vars = [var for var in variables(condition.goal) if var in position_of]
+            navigated = [navigation for navigation in condition.navigations if not navigation.is_aggregate]
+            aggregated = [navigation for navigation in condition.navigations if navigation.is_aggregate]
             is_satisfied = compile_test(
                 condition.goal,
-                [*own_vars, *(navigation.placeholder for navigation in condition.navigations)],
+                [*own_vars, *(navigation.placeholder for navigation in (*navigated, *aggregated))],
                 title,
             )
             # Each navigation (PREV, LAST of a step) is registered once for the whole pattern; conditions refer to it
             # by its number.
             navigations = [
                 navigation_numbers.setdefault(
-                    StepNavigation(navigation.kind, -1 if navigation.kind == "prev" else navigation.step),
-                    len(navigation_numbers),
+                    StepNavigation(navigation.kind, navigation.step), len(navigation_numbers)
                 )
-                for navigation in condition.navigations
+                for navigation in navigated
             ]
             value_positions = (
                 [position_of[var] for var in own_vars],
-                [position_of[navigation.var] for navigation in condition.navigations],
+                [position_of[navigation.var] for navigation in navigated if navigation.var is not None],
             )
-            tests.append(StepTest(tuple(navigations), partial(_holds_for, is_satisfied, *value_positions)))
+            tests.append(
+                StepTest(
+                    tuple(navigations),
+                    tuple([test_aggregate(navigation, position) for navigation in aggregated]),
+                    partial(_holds_for, is_satisfied, *value_positions),
+                )
+            )
         return tuple(tests)
 
     def compile_step(position: int, step_form: RowPatternStep) -> RowPatternVariable:
@@ -126,7 +172,22 @@ def compile_row_pattern(window: WindowSpec, value_count: int, compile_test: Goal
         )
 
     steps = [compile_step(position, step_form) for position, step_form in enumerate(window.steps)]
-    return RowPatternNFA(steps, list(navigation_numbers))
+    return RowPatternNFA(steps, list(navigation_numbers), list(aggregate_numbers))
+
+
+def _find_max_distance(window: WindowSpec, step_names: Sequence[str], own_vars: Container[Var]) -> int:
+    """Return the largest distance of ``prev`` in the conditions of a row pattern; 0 if there is none."""
+    return max(
+        [
+            navigation.step
+            for position, step in enumerate(window.steps)
+            for goal in step.goals
+            for condition in split_condition(goal, step_names, position, own_vars)
+            for navigation in condition.navigations
+            if navigation.kind == "prev"
+        ],
+        default=0,
+    )
 
 
 def _holds_for(
@@ -135,12 +196,13 @@ def _holds_for(
     navigation_positions: Sequence[int],
     element: StreamElement,
     targets: Sequence[StreamElement],
+    results: Values,
 ) -> bool:
-    """Return whether a goal has a solution for values of an element and of the elements that it navigates to."""
+    """Return whether a goal has a solution for values of an element, of its navigations, and of its aggregates."""
     values = [element.values[position] for position in own_positions]
     if navigation_positions:
         values += [target.values[position] for target, position in zip(targets, navigation_positions)]
-    return is_satisfied(tuple(values))
+    return is_satisfied((*values, *results))
 
 
 _WINDOWS: Dict[str, Callable[[Any, Any], StreamOperator]] = {
@@ -213,19 +275,30 @@ def compile_window_spec(
     key_positions = [position_of[var] for var in key_vars]
     single_position = key_positions[0] if len(key_positions) == 1 else None
     measured_terms = [value for value in window_pattern.values if value is not None]
-    navigated_vars = window_pattern.window.navigated_vars
+    navigated_vars: Sequence[Var] = window_pattern.window.navigated_vars
+    has_stamps = window_pattern.window.kind == "steps" and uses_stamps(window_pattern)
+    if has_stamps:
+        # The stamps of a match follow its values.
+        value_vars = [*value_vars, ROW_START, ROW_END]
+        position_of = positions(value_vars)
+        navigated_vars = [*navigated_vars, ROW_START, ROW_END]
+        measured_terms = [insert_stamps(value) for value in measured_terms]
     build, navigated_positions = (
         _compile_values_builder(measured_terms, value_vars),
         [position_of[var] for var in navigated_vars],
     )
+    measured_kinds = [
+        (kind, scope)
+        for kind, value, scope in zip(window_pattern.kinds, window_pattern.values, window_pattern.scopes)
+        if value is not None
+    ]
     evaluate_values = [
         _make_lenient(
             evaluators.compile_expression(kind, value, value_vars, AGGREGATES[kind].accepts_arrays), scope
         )
         if AGGREGATES[kind].is_numeric
         else None
-        for kind, value, scope in zip(window_pattern.kinds, window_pattern.values, window_pattern.scopes)
-        if value is not None
+        for (kind, scope), value in zip(measured_kinds, measured_terms)
     ]
     has_numeric_values = any(evaluate_values)
 
@@ -253,14 +326,17 @@ def compile_window_spec(
     make_accumulators = _accumulator_factory(window_pattern, evaluators.compile_fold)
     window = window_pattern.window
     if window.kind == "steps":
-        nfa = compile_row_pattern(window, len(measured_terms), evaluators.compile_test)
+        element_vars = [*(None for _ in measured_terms), *navigated_vars]
+        nfa = compile_row_pattern(window, element_vars, evaluators.compile_test)
+        skip = window.skip or RowPatternSkip(SKIP_PAST_LAST)
         return StreamNodeSpec(
-            lambda options: RowPatternWindow(make_accumulators, window_pattern.scopes, nfa),
+            lambda options: RowPatternWindow(make_accumulators, window_pattern.scopes, nfa, skip),
             key_and_values,
             build_match_values,
             False,
             _LATE_FOR_WINDOW,
             any(variable.tests or variable.until for variable in nfa.steps),
+            uses_stamps=has_stamps,
         )
     create_operator = partial(_WINDOWS[window.kind], make_accumulators, window)
     uses_clock = window.kind in ("first", "session") or (window.kind == "every" and not window.running)

@@ -34,7 +34,7 @@ from typing import (
 from ...foundation.errors import RetalisError, RuleError, TermTooLarge
 from ...prolog.machine.resource_limits import Meter
 from ...prolog.terms.term_traversal import term_key
-from ...prolog.terms.timestamps import FloatSeconds
+from ...prolog.terms.timestamps import FloatSeconds, lazy_term
 from ...prolog.terms.types import EventAction, Frame, Term, Values, Var
 from ...serialization.field_types import (
     COUNT,
@@ -381,6 +381,7 @@ class StreamNodeSpec(NamedTuple):
         late_report: text of reports about elements that arrive too late.
         calls_goals: whether the operator calls goals of the program.
         fusible_window: the window, if it can be fused; else None.
+        uses_stamps: whether the terms of the start and the end of a match follow its values in ``key_and_values``.
     """
 
     create_operator: Callable[[NetworkOptions], StreamOperator]
@@ -390,6 +391,29 @@ class StreamNodeSpec(NamedTuple):
     late_report: str
     calls_goals: bool = False
     fusible_window: Optional[FusedWindow] = None
+    uses_stamps: bool = False
+
+    def with_stamps(self, process: Callable[[Any, Values, int, int], Any]) -> Callable[..., Any]:
+        """Return a function that takes a match with its values, start and end, and calls another one.
+
+        If stamps are used, the other function receives them after the values.
+        """
+        if not self.uses_stamps:
+            return process
+
+        def process_with_stamps(match: Any, values: Values, start: int, end: int) -> Any:
+            return process(match, (*values, lazy_term(start), lazy_term(end)), start, end)
+
+        return process_with_stamps
+
+    def create_element(self, match: Any, values: Values, start: int, end: int) -> StreamElement:
+        """Return the element of a match."""
+
+        def create(match: Any, values: Values, start: int, end: int) -> StreamElement:
+            return StreamElement(match, start, end, *self.key_and_values(values))
+
+        element: StreamElement = self.with_stamps(create)(match, values, start, end)
+        return element
 
 
 def _drop_result(match: PartialMatch, frame: Frame) -> Frame:
@@ -453,6 +477,7 @@ class StreamNode(NetworkNode):
         # Operators that depend on time stamps only have no alarms, so no topic is observed for them.
         self.watermark = watermarks.watch(functors_of(pattern)) if spec.uses_clock else PatternWatermark()
         self.late_count = self.evicted_count = 0
+        self._has_reported_skip = False
         self._options: Optional[NetworkOptions] = None
         self.stream = self._create_operator(NetworkOptions(), rule.meter)
         self.replay: Optional[Replay] = None
@@ -628,7 +653,7 @@ class StreamNode(NetworkNode):
                 self._set_alarm()
             return outputs
 
-        return process
+        return self.spec.with_stamps(process)
 
     def _report_wrong_time(self, is_ahead: bool, end: int) -> None:
         """Report an element that is too far ahead of the clock, or too late."""
@@ -697,6 +722,9 @@ class StreamNode(NetworkNode):
         self.rule.network.report_rule_error(self.rule, error)
 
     def _emit_outputs(self, outputs: List[StreamOutput], frame: Frame, arrival_number: int = 0) -> Frame:
+        if self.stream.endless_skip_count and not self._has_reported_skip:
+            self._has_reported_skip = True
+            self.rule.network.report_endless_skip(self.rule)
         return emit_each(
             metered(self._matches_of(outputs, arrival_number), self.rule.meter), self.emit, frame
         )
@@ -853,7 +881,8 @@ class StreamNode(NetworkNode):
         Raises:
             UsageError: if it is not one that the pattern of a channel makes.
         """
-        keys, values = self.spec.key_and_values((1,) * len(self.children[0].vars))
+        example = self.spec.create_element(None, (1,) * len(self.children[0].vars), 1, 1)
+        keys, values = example.key_values, example.values
         if (
             len(element.key_values) != len(keys)
             or len(element.values) != len(values)

@@ -1,15 +1,20 @@
-"""Row patterns over the elements of a partition: MATCH_RECOGNIZE with ``AFTER MATCH SKIP PAST LAST ROW``.
+"""Row patterns over the elements of a partition: MATCH_RECOGNIZE.
 
 A pattern is a sequence of variables with quantifiers, compiled into a `RowPatternNFA`. Rules call the variables
 *steps*. For each partition (key), a
 list of `ComputationState` is advanced by each element, ordered by preference: a state that started earlier comes
 first, then greedy or reluctant quantifiers decide, as backtracking would. A match is emitted when no preferred state
-can complete any more; all less preferred states are dropped with it, so matches do not overlap.
+can complete any more.
+
+`RowPatternSkip` states where the search continues after a match (AFTER MATCH SKIP). By default, that is after its
+last element: when a match completes, all less preferred states are dropped, those of later starts too. Otherwise,
+only those of the same start are dropped, and matches may overlap: each start has a search of its own, and the match
+that is emitted decides which starts are dropped.
 
 Nothing is tried twice: two states that react alike to every future element are merged into the preferred one, as in
-the simulation of regular expressions by Thompson. The cost of an element is proportional to the number of states. Two
-limits bound it: at most `MAX_STATES_PER_START` states per start, and the maximum length of the window, which counts
-states.
+the simulation of regular expressions by Thompson; if matches may overlap, only states of the same start are. The cost
+of an element is proportional to the number of states. Two limits bound it: at most `MAX_STATES_PER_START` states per
+start, and the maximum length of the window, which counts states.
 
 If the interval of a match is bounded, states that started too long ago are dropped at the next element of their
 partition; a partition without elements for that time is dropped as a whole.
@@ -17,190 +22,59 @@ partition; a partition without elements for that time is dropped as a whole.
 
 from collections import OrderedDict, deque
 from operator import itemgetter
-from typing import Callable, Deque, Dict, Hashable, List, NamedTuple, Optional, Sequence, Tuple, Union
+from typing import Callable, Deque, Dict, Hashable, List, NamedTuple, Optional, Sequence, Tuple
 
 from ...prolog.terms.timestamps import BEFORE_ALL_INSTANTS
 from ...prolog.terms.types import Values
 from ...serialization.field_types import COUNT, INSTANT, FieldType, integer, optional, sequence_of, tuple_of
 from ...serialization.state_fields import StateFields, constraint, field, rows_of
 from .aggregates import Accumulator
+from .row_pattern_automaton import (
+    SCANNING,
+    SKIP_PAST_LAST,
+    SKIP_TO_FIRST,
+    SKIP_TO_NEXT,
+    NavigationTargets,
+    RowPatternNFA,
+    RowPatternSkip,
+    StepTest,
+)
 from .stream_operators import ELEMENT, StreamElement, StreamOperator, StreamOutput, have_distinct_orders
 from .windows import MAX_TRACKED_ELEMENTS, have_distinct_keys, results_or_error
 
-NavigatedElements = Sequence[StreamElement]
-"""Elements that the navigations of a condition refer to."""
-NavigationTargets = Tuple[Optional[StreamElement], ...]
-"""Element of each navigation of a match, or None if there is none yet."""
-SCANNING = -1
-"""Step of a state in which no match has started."""
+
+def passes_tests(tests: Sequence[StepTest], state: "ComputationState", element: StreamElement) -> bool:
+    """Return whether an element satisfies all tests whose navigations and aggregates have values."""
+    return all(passes_test(test, state, element) is not False for test in tests)
 
 
-class StepTest(NamedTuple):
-    """Condition of a step, or a part of it that uses other navigations.
-
-    Attributes:
-        navigations: indices of the navigations that it uses; it is skipped while a navigation has no element.
-        is_satisfied: returns whether the condition holds for an element and these navigations.
-    """
-
-    navigations: Tuple[int, ...]
-    is_satisfied: Callable[[StreamElement, NavigatedElements], bool]
-
-
-class RowPatternVariable(NamedTuple):
-    """Pattern variable with its quantifier and conditions.
-
-    Attributes:
-        min_count: minimum number of elements.
-        max_count: maximum number of elements; None for no limit.
-        reluctant: whether fewer elements are preferred.
-        skips_rows: whether elements that no step accepts may lie before each of its own (skip till next match).
-        tests: conditions for its elements.
-        until: end condition: an element that satisfies it is not accepted and ends the variable.
-    """
-
-    min_count: int
-    max_count: Optional[int]
-    reluctant: bool
-    skips_rows: bool
-    tests: Tuple[StepTest, ...]
-    until: Tuple[StepTest, ...]
-
-
-class StepTransitions(NamedTuple):
-    """Transitions of a computation state.
-
-    Attributes:
-        steps: steps that may accept the next element, in order of preference.
-        may_end: whether the match may end instead.
-        steps_after_skip: the same steps if all of them and of ``blocking`` skip elements that do not fit, else None.
-        blocking: steps that are less preferred than the end. They never accept an element, because the match ends
-            first, but an element that such a step would accept is not skipped.
-    """
-
-    steps: Tuple[int, ...]
-    may_end: bool
-    steps_after_skip: Optional[Tuple[int, ...]]
-    blocking: Tuple[int, ...]
-
-
-class StepNavigation(NamedTuple):
-    """Navigation of conditions: to the last element of a match, or to the first or last one of a step."""
-
-    kind: str
-    step: int
-
-
-_NO_TRANSITIONS = StepTransitions((), False, (), ())
-
-
-class RowPatternNFA:
-    """Nondeterministic automaton of a row pattern, with its transitions in a table.
-
-    Args:
-        steps: the pattern variables; at least one must accept an element.
-        navigations: the navigations of all conditions.
-    """
-
-    def __init__(self, steps: Sequence[RowPatternVariable], navigations: Sequence[StepNavigation]):
-        self.steps = tuple(steps)
-        self.navigations = tuple(navigations)
-        self._table = [
-            [
-                [self._transitions(step, has_reached_min, may_repeat) for may_repeat in (False, True)]
-                for has_reached_min in (False, True)
-            ]
-            for step in range(len(steps))
-        ]
-        self._initial_transitions = self._transitions_into(0)
-        self._may_end_after = [self._transitions_into(step + 1).may_end for step in range(len(steps))]
-        self._is_certain_from = [
-            all(variable.skips_rows and not variable.until for variable in self.steps[step:])
-            for step in range(len(steps))
-        ]
-
-    def transitions_after(self, step_number: int, count: int) -> StepTransitions:
-        """Return the transitions after a step has accepted ``count`` elements."""
-        if step_number == SCANNING:
-            return self._initial_transitions
-        step = self.steps[step_number]
-        may_repeat = step.max_count is None or count < step.max_count
-        return self._table[step_number][count >= step.min_count][may_repeat]
-
-    def capped_count(self, step_number: int, count: int) -> int:
-        """Return the count of a step, capped where larger counts make no difference to the transitions."""
-        step = self.steps[step_number]
-        return min(count, step.min_count) if step.max_count is None else count
-
-    def can_never_fail(self, steps: Tuple[int, ...]) -> bool:
-        """Return whether a match in these steps can only complete or wait, never fail."""
-        return self._is_certain_from[min(steps)]
-
-    def count_class(self, step: int, count: int) -> Union[int, StepTransitions]:
-        """Return the equivalence class of a count: how a state with it reacts to future elements.
-
-        If the match may end after this step, a state with a larger count completes no later than one with a smaller
-        count and the same transitions. The transitions then represent the count.
-        """
-        return self.transitions_after(step, count) if self._may_end_after[step] else count
-
-    def advance_navigations(
-        self, targets: NavigationTargets, step: int, element: StreamElement
-    ) -> NavigationTargets:
-        """Return the navigations of a match after a step has accepted an element."""
-        targets_after = []
-        for navigation, target in zip(self.navigations, targets):
-            is_reached = navigation.kind == "prev" or (
-                navigation.step == step and (navigation.kind == "last" or target is None)
-            )
-            targets_after.append(element if is_reached else target)
-        return tuple(targets_after)
-
-    def _transitions(self, step: int, has_reached_min: bool, may_repeat: bool) -> StepTransitions:
-        """Return the transitions after a step: has it its minimum of elements, and may it accept another one?"""
-        next_transitions = self._transitions_into(step + 1) if has_reached_min else _NO_TRANSITIONS
-        steps, blocking = next_transitions.steps, next_transitions.blocking
-        if may_repeat and not self.steps[step].reluctant:
-            steps = (step, *steps)
-        # Reluctant and able to end: the end is preferred, so this step only blocks the skipping of elements.
-        elif may_repeat and next_transitions.may_end:
-            blocking = (*blocking, step)
-        elif may_repeat:
-            steps = (*steps, step)
-        return self._make_transitions(steps, next_transitions.may_end, blocking)
-
-    def _transitions_into(self, step: int) -> StepTransitions:
-        """Return the transitions before a step has accepted an element."""
-        if step == len(self.steps):
-            return self._make_transitions((), True, ())
-        return self._transitions(step, self.steps[step].min_count == 0, True)
-
-    def _make_transitions(
-        self, steps: Tuple[int, ...], may_end: bool, blocking: Tuple[int, ...]
-    ) -> StepTransitions:
-        # Skipping an element removes the steps that are not `skips_rows`. If there are none, nothing changes, and the
-        # state after a skipped element equals the one before it.
-        all_skip = all(self.steps[step].skips_rows for step in (*steps, *blocking))
-        return StepTransitions(steps, may_end, steps if all_skip else None, blocking)
-
-
-def passes_tests(tests: Sequence[StepTest], targets: NavigationTargets, element: StreamElement) -> bool:
-    """Return whether an element satisfies all tests whose navigations have elements."""
-    for navigations, is_satisfied in tests:
-        elements = [
-            element for element in (targets[position] for position in navigations) if element is not None
-        ]
-        if len(elements) == len(navigations) and not is_satisfied(element, elements):
-            return False
-    return True
-
-
-def ends_step(tests: Sequence[StepTest], targets: NavigationTargets, element: StreamElement) -> bool:
+def ends_step(tests: Sequence[StepTest], state: "ComputationState", element: StreamElement) -> bool:
     """Return whether an element ends a step: at least one test is applicable, and all applicable ones hold."""
-    applicable = [
-        test for test in tests if all(targets[position] is not None for position in test.navigations)
-    ]
-    return bool(applicable) and passes_tests(applicable, targets, element)
+    is_applicable = False
+    for test in tests:
+        result = passes_test(test, state, element)
+        if result is False:
+            return False
+        is_applicable = is_applicable or result is not None
+    return is_applicable
+
+
+def passes_test(test: StepTest, state: "ComputationState", element: StreamElement) -> Optional[bool]:
+    """Return whether an element satisfies a test; None if a navigation or an aggregate has no value."""
+    elements = []
+    for position in test.navigations:
+        target = state.targets[position]
+        if target is None:
+            return None
+        elements.append(target)
+    results = []
+    for number, aggregate, includes_current in test.aggregates:
+        total = state.totals[number]
+        result = aggregate.result(aggregate.add(total, element) if includes_current else total)
+        if result is None:
+            return None
+        results.append(result)
+    return test.is_satisfied(element, elements, tuple(results))
 
 
 MAX_STATES_PER_START = 100
@@ -235,11 +109,10 @@ class ComputationState:
         count: number of elements of that step, capped by `RowPatternNFA.capped_count`.
         remaining_steps: after a skipped element, the steps that can still accept one; otherwise None.
         targets: elements of the navigations.
+        totals: states of the aggregates.
         matched: elements of the match.
         start_order: order of its first element.
         start_time: start of the first element in ns.
-        preceding_matches: number of completed matches of the partition that are preferred to this state, counted
-            since one had to wait.
     """
 
     __slots__ = (
@@ -247,10 +120,10 @@ class ComputationState:
         "count",
         "remaining_steps",
         "targets",
+        "totals",
         "matched",
         "start_order",
         "start_time",
-        "preceding_matches",
     )
 
     def __init__(
@@ -259,19 +132,19 @@ class ComputationState:
         count: int,
         remaining_steps: Optional[Tuple[int, ...]],
         targets: NavigationTargets,
+        totals: Values,
         matched: Optional[_MatchedElements],
         start_order: int,
         start_time: int,
-        preceding_matches: int,
     ):
         self.step = step
         self.count = count
         self.remaining_steps = remaining_steps
         self.targets = targets
+        self.totals = totals
         self.matched = matched
         self.start_order = start_order
         self.start_time = start_time
-        self.preceding_matches = preceding_matches
 
     def key(self, count_class: Hashable) -> Hashable:
         """Return a key that is equal for states with the same future; ``count_class`` is the class of its count."""
@@ -280,6 +153,7 @@ class ComputationState:
             count_class,
             self.remaining_steps,
             tuple([id(element) for element in self.targets]),
+            self.totals,
         )
 
 
@@ -291,8 +165,7 @@ class StoredState(NamedTuple):
     """Stored form of a `ComputationState`, which refers to elements by their order.
 
     Attributes:
-        step, element_count, remaining_steps, preceding_matches: as in `ComputationState`; `element_count` is
-            ``count`` there.
+        step, element_count, remaining_steps: as in `ComputationState`; `element_count` is ``count`` there.
         targets: order of the element of each navigation, or None if there is none yet.
         assignments: order and step of each element of the match.
     """
@@ -302,7 +175,6 @@ class StoredState(NamedTuple):
     remaining_steps: Optional[Tuple[int, ...]]
     targets: Tuple[Optional[int], ...]
     assignments: _Assignments
-    preceding_matches: int
 
 
 class StoredPartition(NamedTuple):
@@ -312,7 +184,7 @@ class StoredPartition(NamedTuple):
         reference_time: the clock at its last element.
         elements: its elements.
         states: its computation states in order of preference.
-        completed: assignments of the waiting matches, the oldest first.
+        completed: assignments of the waiting matches in the order of their starts.
     """
 
     reference_time: int
@@ -324,14 +196,12 @@ class StoredPartition(NamedTuple):
 class PartitionState:
     """State of one partition: its computation states, waiting matches, and the elements that they use.
 
-    A completed match drops all less preferred states. The matches that are preferred to a state are therefore also
-    preferred to all states after it, and one queue contains the waiting matches of all states.
+    A completed match drops all less preferred states of its start, so all states of its start are preferred to it.
 
     Attributes:
         elements: elements that a state or match uses, and all elements since the oldest of them.
         states: the computation states in order of preference.
-        completed: waiting matches, the oldest first: those that are preferred to the last state, but not to the first
-            one.
+        completed: waiting matches in the order of their starts, at most one for each start.
         counted_state_count: number of states that the window has counted for this partition.
         reference_time: the clock at its last element.
     """
@@ -345,28 +215,35 @@ class PartitionState:
         self.reference_time = BEFORE_ALL_INSTANTS
         self.completed: Deque[_CompletedMatch] = deque()
 
-    def advance(
-        self, states: List[ComputationState], completed: Optional[_CompletedMatch] = None
-    ) -> List[_CompletedMatch]:
-        """Replace the computation states, and return the matches that are now decided.
+    def first_start(self) -> Optional[int]:
+        """Return the order of the first element of the most preferred state; None if no match has begun."""
+        state = self.states[0]
+        return None if state.matched is None else state.start_order
 
-        Args:
-            states: the new states.
-            completed: a match that was completed by the same element; it is preferred to the last state only.
-        """
-        # Matches are popped from the new end if the states that preferred them were dropped, and emitted from the old
-        # end if no state precedes them.
-        preceding_matches = states[-1].preceding_matches - (completed is not None)
-        for _ in range(self.states[-1].preceding_matches - preceding_matches):
-            self.completed.pop()
-        if completed is not None:
-            self.completed.append(completed)
-        self.states = states
-        return [self.completed.popleft() for _ in range(len(self.completed) - self.waiting_count())]
+    def add_completed(self, completed: _CompletedMatch) -> None:
+        """Add a waiting match in the order of starts."""
+        matches = self.completed
+        position = len(matches)
+        while position and matches[position - 1].start_order > completed.start_order:
+            position -= 1
+        matches.insert(position, completed)
 
-    def waiting_count(self) -> int:
-        """Return the number of completed matches that wait for a preferred state."""
-        return self.states[-1].preceding_matches - self.states[0].preceding_matches
+    def drop_completed(self, start_order: int, drops_later: bool) -> None:
+        """Drop the waiting match with a start and, if ``drops_later``, those with later starts."""
+        matches = self.completed
+        position = len(matches)
+        while position and matches[position - 1].start_order >= start_order:
+            position -= 1
+            if drops_later:
+                matches.pop()
+        if position < len(matches) and matches[position].start_order == start_order:
+            del matches[position]
+
+    def drop_before(self, order: int) -> None:
+        """Drop the states and waiting matches that began before the element with an order."""
+        self.states = [state for state in self.states if state.matched is None or state.start_order >= order]
+        while self.completed and self.completed[0].start_order < order:
+            self.completed.popleft()
 
     def oldest_order(self) -> Optional[int]:
         """Return the order of the oldest element in use, or None."""
@@ -382,35 +259,39 @@ class _Successors:
     Attributes:
         states: the states in order of preference.
         largest_counts: largest count for each key of a state.
-        completed: the match that the element completes; it is preferred to the last state only.
+        completed: the matches that the element completes, one for a start at most.
+        settled_starts: starts that have such a match, or a state that is certain to complete. An earlier match of
+            such a start is less preferred, and obsolete.
         start_order: order of the first element of the newest state.
         same_start_count: number of states with that start. Earlier starts are preferred, so equal starts are
             adjacent.
     """
 
-    __slots__ = ("states", "largest_counts", "completed", "start_order", "same_start_count")
+    __slots__ = ("states", "largest_counts", "completed", "settled_starts", "start_order", "same_start_count")
 
     def __init__(self) -> None:
         self.states: List[ComputationState] = []
         self.largest_counts: Dict[Hashable, int] = {}
-        self.completed: Optional[_CompletedMatch] = None
+        self.completed: List[_CompletedMatch] = []
+        self.settled_starts: List[int] = []
         self.start_order = 0
         self.same_start_count = 0
 
     def uses(self, element: StreamElement) -> bool:
         """Return whether a state or match uses the element."""
-        return self.completed is not None or any(
+        return bool(self.completed) or any(
             state.matched is not None and state.matched.element is element for state in self.states
         )
 
 
 class RowPatternWindow(StreamOperator):
-    """Window of a row pattern; emits matches that do not overlap. See `StreamOperator`.
+    """Window of a row pattern. See `StreamOperator`.
 
     Args:
         make_accumulators: creates the measures of a match.
         scopes: for each measure the step that it is restricted to, or None.
         nfa: the automaton.
+        skip: where the search for the next match begins.
     """
 
     STATE = StateFields(
@@ -444,11 +325,14 @@ class RowPatternWindow(StreamOperator):
         make_accumulators: Callable[[], Sequence[Accumulator]],
         scopes: Sequence[Optional[int]],
         nfa: RowPatternNFA,
+        skip: RowPatternSkip,
     ):
         super().__init__()
         self.make_accumulators = make_accumulators
         self.scopes = scopes
         self.nfa = nfa
+        self.skip = skip
+        self._overlaps = skip.strategy != SKIP_PAST_LAST
         self._checks: List[_ValueCheck] = []
         self._checks_of: List[List[_ValueCheck]] = [[] for _ in nfa.steps]
         for measure, scope in zip(make_accumulators(), scopes):
@@ -464,10 +348,10 @@ class RowPatternWindow(StreamOperator):
         """Return the number of elements or of states, whichever is larger."""
         return max(self._element_count, self._state_count)
 
-    def _scanning_state(self, preceding_matches: int = 0) -> ComputationState:
-        return ComputationState(
-            SCANNING, 0, None, (None,) * len(self.nfa.navigations), None, 0, 0, preceding_matches
-        )
+    def _scanning_state(self) -> ComputationState:
+        nfa = self.nfa
+        targets: NavigationTargets = (None,) * len(nfa.navigations)
+        return ComputationState(SCANNING, 0, None, targets, nfa.initial_totals, None, 0, 0)
 
     def process(self, element: StreamElement, now: int, channel: int) -> List[StreamOutput]:
         """See `StreamOperator.process`."""
@@ -495,7 +379,7 @@ class RowPatternWindow(StreamOperator):
         if successors.uses(element):
             self._element_count += 1
             partition.elements.append(element)
-        decided_matches = partition.advance(successors.states, successors.completed)
+        decided_matches = self._replace_states(partition, successors)
         self._store_partition(partition, element.key)
         return self._outputs(decided_matches)
 
@@ -511,15 +395,57 @@ class RowPatternWindow(StreamOperator):
         remaining_states = [
             state for state in partition.states if state.start_time >= min_start or state.matched is None
         ]
-        return self._with_scanning(remaining_states, partition)
+        return self._with_scanning(remaining_states)
 
-    def _with_scanning(
-        self, states: List[ComputationState], partition: PartitionState
-    ) -> List[ComputationState]:
+    def _with_scanning(self, states: List[ComputationState]) -> List[ComputationState]:
         """Return the remaining states of a partition, with the scanning state at the end."""
         if not states or states[-1].step != SCANNING:
-            states.append(self._scanning_state(partition.states[-1].preceding_matches))
+            states.append(self._scanning_state())
         return states
+
+    def _replace_states(self, partition: PartitionState, successors: _Successors) -> List[_CompletedMatch]:
+        """Replace the computation states of a partition, and return the matches that are now decided."""
+        for start_order in successors.settled_starts:
+            partition.drop_completed(start_order, not self._overlaps)
+        for completed in successors.completed:
+            partition.add_completed(completed)
+        partition.states = successors.states
+        return self._pop_decided(partition)
+
+    def _pop_decided(self, partition: PartitionState) -> List[_CompletedMatch]:
+        """Remove and return the completed matches to which no state is preferred any more."""
+        if not partition.completed:
+            return []
+        if self.skip.strategy == SKIP_TO_NEXT:
+            # No match depends on one of another start.
+            open_starts = {state.start_order for state in partition.states if state.matched is not None}
+            decided = [match for match in partition.completed if match.start_order not in open_starts]
+            for match in decided:
+                partition.drop_completed(match.start_order, False)
+            return decided
+        decided = []
+        while partition.completed:
+            first_start = partition.first_start()
+            if first_start is not None and first_start <= partition.completed[0].start_order:
+                break
+            match = partition.completed.popleft()
+            decided.append(match)
+            if self._overlaps:
+                partition.drop_before(self._next_start(match))
+        return decided
+
+    def _next_start(self, match: _CompletedMatch) -> int:
+        """Return the order of the first element at which a match may begin after another one."""
+        assignments = _list_assignments(match.matched)
+        orders = [element.order for element, step in assignments if step == self.skip.step]
+        if not orders:
+            return assignments[-1][0].order + 1
+        order = orders[0] if self.skip.strategy == SKIP_TO_FIRST else orders[-1]
+        if order == match.start_order:
+            # The same match would be found again and again.
+            self.endless_skip_count += 1
+            return order + 1
+        return order
 
     def drop_oldest(self) -> List[StreamOutput]:
         """See `StreamOperator.drop_oldest`; drops states of the least recently used partition.
@@ -531,7 +457,8 @@ class RowPatternWindow(StreamOperator):
         remaining_states = [
             state for state in partition.states if state.matched is None or state.start_order != oldest_order
         ]
-        decided_matches = partition.advance(self._with_scanning(remaining_states, partition))
+        partition.states = self._with_scanning(remaining_states)
+        decided_matches = self._pop_decided(partition)
         self._store_partition(partition, key)
         return self._outputs(decided_matches)
 
@@ -565,14 +492,22 @@ class RowPatternWindow(StreamOperator):
             self.states.pop(key, None)
 
     def _successors(self, states: Sequence[ComputationState], element: StreamElement) -> _Successors:
-        """Return the successor states for an element."""
+        """Return the successor states for an element.
+
+        A completed match, or one that is certain to complete, makes all less preferred states of its start obsolete
+        and, unless matches may overlap, those of later starts, too.
+        """
         successors = _Successors()
         for state in states:
+            settled = successors.settled_starts
+            if settled and state.matched is not None and state.start_order == settled[-1]:
+                continue
             accepting, skipping = self._accepting_steps(state, element)
             for step in accepting:
-                # A completed match, or one that is certain to complete, makes all less preferred states obsolete.
                 if self._accept(state, step, element, successors):
-                    return successors
+                    if not self._overlaps:
+                        return successors
+                    break
             if state.step == SCANNING:
                 successors.states.append(state)
             # An element is skipped only if no step accepts it: skipping is not an alternative to accepting.
@@ -582,13 +517,15 @@ class RowPatternWindow(StreamOperator):
                     state.count,
                     skipping,
                     state.targets,
+                    state.totals,
                     state.matched,
                     state.start_order,
                     state.start_time,
-                    state.preceding_matches,
                 )
                 if self._add(successor, successors) and self.nfa.can_never_fail(skipping):
-                    return successors
+                    successors.settled_starts.append(state.start_order)
+                    if not self._overlaps:
+                        return successors
         return successors
 
     def _accepting_steps(
@@ -601,17 +538,15 @@ class RowPatternWindow(StreamOperator):
         continuing_steps = [
             step
             for step in candidates
-            if not (steps[step].until and ends_step(steps[step].until, state.targets, element))
+            if not (steps[step].until and ends_step(steps[step].until, state, element))
         ]
-        accepting = [
-            step for step in continuing_steps if passes_tests(steps[step].tests, state.targets, element)
-        ]
+        accepting = [step for step in continuing_steps if passes_tests(steps[step].tests, state, element)]
         skipping = tuple([step for step in continuing_steps if steps[step].skips_rows])
         if not accepting and skipping:
             for step in transitions.blocking:
                 # A reluctant step has no `until`. After a skipped element, only `skips_rows` steps can follow.
                 if (state.remaining_steps is None or steps[step].skips_rows) and passes_tests(
-                    steps[step].tests, state.targets, element
+                    steps[step].tests, state, element
                 ):
                     return accepting, ()
         return accepting, skipping
@@ -632,31 +567,38 @@ class RowPatternWindow(StreamOperator):
         # `steps_after_skip` is set if all steps skip elements: the state then equals the one after a skip.
         if next_steps:
             targets = nfa.advance_navigations(state.targets, step, element)
+            totals = nfa.advance_totals(state.totals, step, element) if nfa.aggregates else ()
             is_present = self._add(
                 ComputationState(
                     step,
                     count,
                     steps_after_skip,
                     targets,
+                    totals,
                     matched,
                     start_order,
                     start_time,
-                    state.preceding_matches,
                 ),
                 successors,
             )
             if is_present and not may_end and nfa.can_never_fail(next_steps):
+                successors.settled_starts.append(start_order)
                 return True
         if may_end:
-            successors.completed = _CompletedMatch(matched, start_order)
-            # The search for the next match starts after this one: matches do not share elements.
-            successors.states.append(self._scanning_state(state.preceding_matches + 1))
+            successors.settled_starts.append(start_order)
+            successors.completed.append(_CompletedMatch(matched, start_order))
+            # The search for the next match starts after this one. If matches may overlap, it has not been stopped.
+            if not self._overlaps:
+                successors.states.append(self._scanning_state())
         return may_end
 
     def _add(self, state: ComputationState, successors: _Successors) -> bool:
         """Add a state unless a preferred one subsumes it; return whether either of them is present."""
         # Two states with equal keys accept the same future elements with the same navigations.
         key = state.key(self.nfa.count_class(state.step, state.count))
+        if self._overlaps:
+            # A later start has a match of its own.
+            key = (state.start_order, key)
         # States are added in order of preference, so one with the same key and at least this count is preferred and
         # completes no later: the new one can never win.
         if successors.largest_counts.get(key, -1) >= state.count:
@@ -736,7 +678,6 @@ class RowPatternWindow(StreamOperator):
             remaining_steps=optional(sequence_of(step, tuple, min_count=1)),
             targets=sequence_of(optional(COUNT), tuple),
             assignments=assignments,
-            preceding_matches=COUNT,
         )
         return rows_of(
             StoredPartition,
@@ -758,7 +699,8 @@ class RowPatternWindow(StreamOperator):
         assigned = [
             order for pairs in (*(state.assignments for state in states), *completed) for order, _ in pairs
         ]
-        preceding_matches = [state.preceding_matches for state in states]
+        starts = [state.assignments[0][0] for state in states if state.assignments]
+        completed_starts = [pairs[0][0] for pairs in completed if pairs]
         return (
             bool(states)
             and all(completed)
@@ -769,8 +711,11 @@ class RowPatternWindow(StreamOperator):
             and all(
                 list(state.assignments) == sorted(state.assignments, key=itemgetter(0)) for state in states
             )
-            and preceding_matches == sorted(preceding_matches)
-            and len(completed) == preceding_matches[-1] - preceding_matches[0]
+            and starts == sorted(starts)
+            and all(state.step != SCANNING for state in states[:-1])
+            # A match waits for a state that is preferred to it.
+            and completed_starts == sorted(set(completed_starts))
+            and (not completed_starts or (bool(starts) and starts[0] <= completed_starts[0]))
             # Otherwise all states of the partition could fail, and no state would remain to process the next element.
             and any(state.step == SCANNING or self._is_certain(state) for state in states)
         )
@@ -800,34 +745,35 @@ class RowPatternWindow(StreamOperator):
                 for match in completed
             )
             partition.states = [self._state_of(state, element_by_order) for state in states]
-            is_consistent = len(partition.completed) == partition.waiting_count()
         except KeyError:
-            is_consistent = False
-        # Elements are missing.
-        if not is_consistent:
+            # Elements are missing.
             partition.completed.clear()
             partition.states = [self._scanning_state()]
             for element in elements:
-                successors = self._successors(partition.states, element)
-                partition.advance(successors.states, successors.completed)
+                self._replace_states(partition, self._successors(partition.states, element))
         self._store_partition(partition, elements[0].key)
 
     def _state_of(self, stored: StoredState, element_by_order: Dict[int, StreamElement]) -> ComputationState:
         """Return the state whose stored form `_stored_state` has returned."""
-        step, count, remaining_steps, target_orders, assignments, preceding_matches = stored
+        step, count, remaining_steps, target_orders, assignments = stored
         targets = tuple([None if order is None else element_by_order[order] for order in target_orders])
         if not assignments:
-            return ComputationState(step, count, remaining_steps, targets, None, 0, 0, preceding_matches)
+            return ComputationState(
+                step, count, remaining_steps, targets, self.nfa.initial_totals, None, 0, 0
+            )
+        totals = self.nfa.initial_totals
+        for order, assigned_step in assignments:
+            totals = self.nfa.advance_totals(totals, assigned_step, element_by_order[order])
         start_order = assignments[0][0]
         return ComputationState(
             step,
             count,
             remaining_steps,
             targets,
+            totals,
             _matched_elements(assignments, element_by_order),
             start_order,
             element_by_order[start_order].start,
-            preceding_matches,
         )
 
 
@@ -860,7 +806,6 @@ def _stored_state(state: ComputationState) -> StoredState:
         state.remaining_steps,
         tuple([None if element is None else element.order for element in state.targets]),
         _to_orders(_list_assignments(state.matched)),
-        state.preceding_matches,
     )
 
 

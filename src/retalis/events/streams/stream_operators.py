@@ -181,6 +181,7 @@ class StreamOperator(StateOwner):
         pruned_count: number of partial matches of a row pattern that were discarded because too many had the same
             start.
         evicted_count: number of keys that were dropped because there were too many.
+        endless_skip_count: number of matches of a row pattern after which the search would begin at their own start.
         bounds: bounds for the states of keys.
         tracks_elements: whether outputs contain up to 100 of the elements that they are made of, not only the newest
             one.
@@ -202,6 +203,7 @@ class StreamOperator(StateOwner):
     def __init__(self) -> None:
         self.next_deadline: Optional[int] = None
         self.late_count = self.ahead_count = self.pruned_count = self.evicted_count = 0
+        self.endless_skip_count = 0
         self.tracks_elements = False
         self.meter: Optional[Meter] = None
         self.compute_max_timestamp: Callable[[], int] = _no_time_limit
