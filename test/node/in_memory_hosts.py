@@ -66,6 +66,7 @@ def start_host(
     folder: Any,
     message_format: SerializationFormat = SerializationFormat.ROS1,
     is_time_simulated: bool = False,
+    remappings: Any = None,
     **parameters: Any,
 ) -> RunningHost:
     """Start the program of a folder on a network.
@@ -75,6 +76,7 @@ def start_host(
         folder: folder of the program.
         message_format: serialization of messages.
         is_time_simulated: whether time is that of messages on ``/clock``.
+        remappings: names that topics have in place of others.
         parameters: parameters of the node.
 
     Returns:
@@ -85,6 +87,7 @@ def start_host(
         parameters={"program": str(folder), "diagnostics": 0, **parameters},
         is_time_simulated=is_time_simulated,
         message_format=message_format,
+        remappings=remappings,
     )
     reports = Reports()
     context = HostContext(transport, read_parameters(transport.parameters(), lambda: folder), reports)

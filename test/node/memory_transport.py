@@ -151,8 +151,10 @@ class MemoryTransport:
         parameters: Any = None,
         is_time_simulated: bool = False,
         message_format: SerializationFormat = SerializationFormat.ROS1,
+        remappings: Any = None,
     ) -> None:
         self.network = network
+        self._remappings: Dict[str, str] = remappings or {}
         self.format = message_format
         self.received_formats: Tuple[SerializationFormat, ...] = (self.format,)
         self.node_name = node_name
@@ -186,7 +188,8 @@ class MemoryTransport:
         fault = topic_fault(topic)
         if fault is not None:
             raise UsageError(fault)
-        return topic if topic.startswith("/") else f"/{topic}"
+        name = topic if topic.startswith("/") else f"/{topic}"
+        return self._remappings.get(name, name)
 
     def installed_types(self, include_rosbags: bool = True) -> InstalledTypes:
         return InstalledTypes(include_rosbags=include_rosbags)

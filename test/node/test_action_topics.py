@@ -14,13 +14,12 @@ from messages.ros2_types import find_text
 from node.in_memory_hosts import DEFINITIONS, decode, start_host
 from node.memory_transport import MemoryNetwork, MemoryTransport
 
-from retalis import BagWriter, Definitions, MessageError, Playback, TopicType
+from retalis import BagWriter, Definitions, MessageError, Playback
 from retalis.messages.action_events import ACTION_EVENTS
 from retalis.messages.message_dictionaries import make_message_term, read_message_term
 from retalis.messages.type_definition import SerializationFormat
 from retalis.messages.type_registry import InstalledTypes, parse_ros2_type
 from retalis.node.diagnostics import DIAGNOSTICS_TOPIC, DIAGNOSTICS_TYPE, Level
-from retalis.node.subscribed_topics import list_endpoints
 from retalis.playback.bag_locations import MergedBag
 from retalis.prolog.syntax.event_text import to_text
 
@@ -349,19 +348,30 @@ def test_playback_reports_stalled_goal(
 
 
 @pytest.mark.parametrize(
-    ("topic", "message_format", "expected"),
+    ("remappings", "message_format", "expected"),
     [
-        ("/dock/status", ROS1, ("/dock/status", "actionlib_msgs/GoalStatusArray")),
-        ("/dock/status", ROS2, ("/dock/_action/status", "action_msgs/GoalStatusArray")),
-        # A topic of ROS 1 can be remapped without the others.
-        ("/other", ROS1, ("/other", "actionlib_msgs/GoalStatusArray")),
+        ({}, ROS1, "/dock/status"),
+        ({}, ROS2, "/dock/_action/status"),
+        ({"/dock": "/base/dock"}, ROS1, "/base/dock/status"),
+        ({"/dock": "/base/dock"}, ROS2, "/base/dock/_action/status"),
+        ({"/dock/status": "/other"}, ROS1, "/other"),
+        ({"/dock/_action/status": "/other"}, ROS2, "/other"),
+        # The name of the action is resolved first.
+        ({"/dock": "/base/dock", "/dock/status": "/other"}, ROS1, "/base/dock/status"),
+        ({"/dock": "/base/dock", "/base/dock/status": "/other"}, ROS1, "/other"),
+        ({"/dock": "/base/dock", "/base/dock": "/dock"}, ROS1, "/base/dock/status"),
+        # Servers of ROS 2 have no topic of this name.
+        ({"/dock/status": "/other"}, ROS2, "/dock/_action/status"),
     ],
 )
-def test_topics_of_server_become_events_of_action(
-    topic: str, message_format: SerializationFormat, expected: Tuple[str, str]
+def test_remapped_topics_of_action_are_subscribed(
+    program: Path, remappings: Dict[str, str], message_format: SerializationFormat, expected: str
 ) -> None:
-    transport = MemoryTransport(MemoryNetwork(), message_format=message_format)
-    assert list_endpoints(topic, "lab/Dock__status", transport) == [TopicType(*expected)]
+    network = MemoryNetwork(START)
+    host = start_host(network, program, message_format, remappings=remappings)
+    host.transport.shut_down()
+    topics = [topic for topic in network.subscriptions if topic.endswith(("/status", "/other"))]
+    assert topics == [expected]
 
 
 def test_missing_action_of_bag_is_named(

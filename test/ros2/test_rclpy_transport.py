@@ -405,7 +405,7 @@ def test_topic_of_service_follows_remapped_service(network: Network, remapping: 
 )
 def test_topic_of_action_follows_remapped_action(network: Network, remapping: str, full_name: str) -> None:
     transport = network.add_transport(remappings=["__ns:=/robot", remapping])
-    (endpoint,) = list_endpoints(transport.resolve_topic("dock/goal"), "lab/Dock__goal", transport)
+    (endpoint,) = list_endpoints("dock/goal", "lab/Dock__goal", transport)
     assert endpoint.topic == full_name
 
 

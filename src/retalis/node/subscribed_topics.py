@@ -133,27 +133,27 @@ def log_replaced_type(request: TopicRequest, source: MessageSource) -> None:
 def list_endpoints(topic: str, message_type: str, transport: MessageTransport) -> List[TopicType]:
     """Return the topics whose messages become the events of a topic: one, or for an action those of its server.
 
+    As in clients and servers, the name of an action is resolved first, then those of its topics, which may be
+    remapped, too.
+
     Args:
-        topic: full name of the topic, or ``action/kind`` for an event of an action.
+        topic: name of the topic, or ``action/kind`` for an event of an action.
         message_type: type of the topic, or an event type.
         transport: the middleware.
+
+    Raises:
+        UsageError: if a name is invalid.
     """
+    resolve_topic = transport.resolve_topic
     event = find_action_event(message_type)
-    if event is None:
-        return [TopicType(topic, message_type)]
-    action_topic = event.action_topic(topic)
-    # Nodes may remap the name of an action, and those of its topics.
-    name = None if action_topic is None else transport.resolve_topic(action_topic)
-    endpoints: List[TopicType] = []
-    for message_format in transport.received_formats:
-        endpoint, type_name = event.endpoint(name or topic, message_format)
-        if name is None:
-            endpoint = topic
-        elif message_format is SerializationFormat.CDR:
-            # In ROS 1, the name before the last slash is that of the remapped topic already.
-            endpoint = transport.resolve_topic(endpoint)
-        endpoints.append(TopicType(endpoint, type_name))
-    return endpoints
+    action_topic = None if event is None else event.action_topic(topic)
+    if event is None or action_topic is None:
+        return [TopicType(resolve_topic(topic), message_type)]
+    endpoints = [
+        event.endpoint(resolve_topic(action_topic), message_format)
+        for message_format in transport.received_formats
+    ]
+    return [TopicType(resolve_topic(endpoint), type_name) for endpoint, type_name in endpoints]
 
 
 class ReadingOptions(NamedTuple):
@@ -238,7 +238,9 @@ class SubscribedTopics:
                 raise UsageError(
                     f"topic {topic} is already subscribed (as {self._topics[name].request.message_type})"
                 )
-            self._topics[name] = self._open(TopicRequest(name, message_type, event_name), self._processing)
+            request = TopicRequest(name, message_type, event_name)
+            endpoints = list_endpoints(topic, message_type, self._transport)
+            self._topics[name] = self._open(request, self._processing, endpoints=endpoints)
 
     def forget_goals(self) -> None:
         """Forget the states of the goals of all actions, since time begins again."""
@@ -377,10 +379,20 @@ class SubscribedTopics:
         return message_type in self._definitions
 
     def _open(
-        self, request: TopicRequest, processing: MessageProcessing, options: Optional[ReadingOptions] = None
+        self,
+        request: TopicRequest,
+        processing: MessageProcessing,
+        options: Optional[ReadingOptions] = None,
+        endpoints: Sequence[TopicType] = (),
     ) -> "SubscribedTopic":
         return SubscribedTopic(
-            self._transport, self._definitions, self._reports, request, processing, options or self._options
+            self._transport,
+            self._definitions,
+            self._reports,
+            request,
+            processing,
+            options or self._options,
+            endpoints,
         )
 
     def _make_handler(self, decoder: Decoder, topic: str, source: MessageSource) -> MessageHandler:
@@ -409,6 +421,7 @@ class SubscribedTopic:
         request: full name of the topic, its type, and the name of its events.
         processing: how messages become events.
         options: how the topic is read.
+        endpoints: the topics whose messages become its events; by default the topic itself.
 
     Attributes:
         request: see above.
@@ -423,6 +436,7 @@ class SubscribedTopic:
         request: TopicRequest,
         processing: MessageProcessing,
         options: ReadingOptions,
+        endpoints: Sequence[TopicType] = (),
     ):
         self.request = request
         self._definitions = definitions
@@ -443,7 +457,7 @@ class SubscribedTopic:
                 options.ignores_own,
                 options.quality_of(request.topic),
             )
-            for topic, message_type in list_endpoints(request.topic, request.message_type, transport)
+            for topic, message_type in endpoints or [TopicType(request.topic, request.message_type)]
         ]
 
     def status(self) -> InputStatus:

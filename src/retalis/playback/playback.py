@@ -466,8 +466,7 @@ class Playback:
 
     def _list_names(self, topic: TopicType) -> List[str]:
         """Return the full names of the topics of a bag that are read as a topic of the program."""
-        name = self._transport.resolve_topic(topic.topic)
-        return [endpoint.topic for endpoint in list_endpoints(name, topic.type, self._transport)]
+        return [endpoint.topic for endpoint in list_endpoints(*topic, self._transport)]
 
     def _report_refused(self, refused: Iterable[RefusedConnection]) -> None:
         """Report connections whose type does not fit. On a topic that is subscribed by default, this is no error."""
