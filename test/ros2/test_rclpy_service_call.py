@@ -6,10 +6,11 @@ from typing import Any, Callable, Iterable, Iterator, List
 import pytest
 
 pytest.importorskip("rclpy", reason="rclpy is not installed")
+pytest.importorskip("retalis.srv", reason="the classes of this package's services have not been generated")
 
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.task import Future
-from ros2.rclpy_nodes import Network, wait_until
+from ros2.rclpy_nodes import TIMEOUT_SECONDS, Network, wait_until
 from std_srvs.srv import SetBool, Trigger
 
 from retalis import Clock, Definitions, Engine, UsageError
@@ -19,6 +20,7 @@ from retalis.node.service_caller import ServiceCaller
 from retalis.ros2.installed_interfaces import InstalledInterfaces
 from retalis.ros2.rclpy_service_call import MAX_CLIENTS, RclpyServiceCalls
 from retalis.ros2.rclpy_transport import MAX_CONCURRENT_REQUESTS
+from retalis.srv import Query
 
 
 @pytest.fixture
@@ -175,7 +177,7 @@ def test_request_is_not_sent_after_end_of_call() -> None:
 
 
 def test_calls_do_not_occupy_threads_of_requests(network: Network, monkeypatch: pytest.MonkeyPatch) -> None:
-    waited, resumed = threading.Event(), threading.Event()
+    resumed = threading.Event()
     monkeypatch.setattr(RclpyServiceCalls, "call_service", lambda calls, name, call: resumed.wait(60))
     transport = network.add_transport()
     engine = Engine(Clock(), definitions=Definitions(transport.installed_types()))
@@ -184,6 +186,9 @@ def test_calls_do_not_occupy_threads_of_requests(network: Network, monkeypatch: 
         assert engine.call(
             f"ros_service('/missing', 'std_srvs/Trigger', std_srvs__0__Trigger_Request, {number})"
         )
-    transport.call_in_thread(waited.set)
-    assert waited.wait(60)
+    transport.offer_service("~query", "Query", lambda request: {"result": "ok"})
+    client = network.add_node().create_client(Query, "/retalis/query")
+    assert client.wait_for_service(TIMEOUT_SECONDS)
+    future = client.call_async(Query.Request())
+    wait_until(future.done)
     resumed.set()

@@ -12,6 +12,7 @@ pytest.importorskip("retalis.srv", reason="the classes of this package's service
 import rclpy
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState, GetState
+from rcl_interfaces.srv import SetParameters
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.lifecycle import TransitionCallbackReturn
 from rclpy.parameter import Parameter
@@ -20,7 +21,7 @@ from rosgraph_msgs.msg import Clock
 from std_msgs.msg import String
 
 from retalis import Reports, UsageError
-from retalis.ros2 import ros2_node
+from retalis.ros2 import rclpy_transport, ros2_node
 from retalis.ros2.rclpy_transport import RclpyTransport
 from retalis.ros2.ros2_node import RetalisNode
 
@@ -72,6 +73,7 @@ class BlockedHost:
         is_released: set by the test.
         ended: names of the functions that were called at the end of the transport.
         changes: parameters that were applied.
+        apply: called to apply parameters.
         error: raised at the end of the loading.
     """
 
@@ -79,6 +81,7 @@ class BlockedHost:
     is_released: threading.Event
     ended: List[str]
     changes: List[Any]
+    apply: Callable[[Any], object]
     error: Any = None
 
     def __init__(self, context: Any, texts: Any) -> None:
@@ -90,8 +93,8 @@ class BlockedHost:
         context.transport.on_shutdown(lambda: self.ended.append("after"))
 
     def change_parameters(self, parameters: Any) -> None:
-        """Record parameters."""
-        self.changes.append(parameters)
+        """Apply parameters as the test says; by default, record them."""
+        type(self).apply(parameters)
 
 
 @pytest.fixture
@@ -104,6 +107,7 @@ def host(monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
         "changes": [],
     }
     host: Any = type("Host", (BlockedHost,), attributes)
+    host.apply = host.changes.append
     monkeypatch.setattr(ros2_node, "ProgramHost", host)
     yield host
     host.is_released.set()
@@ -228,27 +232,118 @@ def test_parameters_change_together_or_not_at_all(start: Callable[..., RetalisNo
     assert "max_seconds" in result.reason
     assert node.get_parameter("max_skew").value is None
     assert node.set_parameters_atomically([good, Parameter("max_seconds", value=3.0)]).successful
-    wait_until(lambda: len(host.changes) == 2)
-    assert [(each.max_skew, each.settings.limits.seconds) for each in host.changes] == [
-        (None, 10.0),
-        (2.0, 3.0),
-    ]
+    assert [(each.max_skew, each.settings.limits.seconds) for each in host.changes] == [(2.0, 3.0)]
 
 
+def test_change_that_rclpy_rejects_is_not_applied(start: Callable[..., RetalisNode], host: Any) -> None:
+    node = start("-p", "limit:=4")
+    host.is_released.set()
+    node.start()
+    result = node.set_parameters_atomically(
+        [Parameter("max_skew", value=2.0), Parameter("limit", value="four")]
+    )
+    assert not result.successful
+    assert host.changes == []
+
+
+@pytest.mark.parametrize(
+    ("error", "reason"),
+    [
+        (UsageError("the engine cannot be used any more"), "the engine cannot be used any more"),
+        (OSError("no memory"), "internal error; the log of the node has the details"),
+    ],
+)
 def test_change_that_cannot_be_applied_is_rejected(
-    start: Callable[..., RetalisNode], host: Any, monkeypatch: pytest.MonkeyPatch
+    start: Callable[..., RetalisNode], host: Any, error: Exception, reason: str
 ) -> None:
     node = start()
     host.is_released.set()
     node.start()
 
-    def refuse(transport: RclpyTransport, function: Callable[[], object]) -> None:
-        raise UsageError("64 requests are running")
+    def refuse(parameters: Any) -> None:
+        raise error
 
-    monkeypatch.setattr(RclpyTransport, "call_in_thread", refuse)
+    host.apply = refuse
     result = node.set_parameters_atomically([Parameter("max_skew", value=2.0)])
-    assert (result.successful, result.reason) == (False, "64 requests are running")
+    assert (result.successful, result.reason) == (False, reason)
     assert node.get_parameter("max_skew").value is None
+    # The program still has its former value.
+    host.apply = host.changes.append
+    assert node.set_parameters_atomically([Parameter("diagnostics", value=2.0)]).successful
+    assert [each.max_skew for each in host.changes] == [None]
+
+
+def test_change_that_cannot_be_applied_at_start_fails_activation(
+    start: Callable[..., RetalisNode], host: Any, caplog: pytest.LogCaptureFixture
+) -> None:
+    node = start()
+    results: List[bool] = []
+    starting = threading.Thread(target=lambda: results.append(node.start()), name="starting")
+    starting.start()
+    assert host.is_loading.wait(TIMEOUT_SECONDS)
+    assert node.set_parameters_atomically([Parameter("max_skew", value=2.0)]).successful
+
+    def refuse(parameters: Any) -> None:
+        raise UsageError(f"{parameters.max_skew} s is refused")
+
+    host.apply = refuse
+    host.is_released.set()
+    starting.join()
+    assert results == [False]
+    assert "2.0 s is refused" in caplog.text
+
+
+def test_node_answers_while_change_waits_for_engine(
+    network: Network, start: Callable[..., RetalisNode], host: Any
+) -> None:
+    node = start()
+    host.is_released.set()
+    node.start()
+    is_applying, is_idle = threading.Event(), threading.Event()
+
+    def apply(parameters: Any) -> None:
+        is_applying.set()
+        assert is_idle.wait(TIMEOUT_SECONDS)
+
+    host.apply = apply
+    client = LifeCycleClient(network, node)
+    setting = network.add_node("setter").create_client(SetParameters, "/retalis/set_parameters")
+    assert setting.wait_for_service(TIMEOUT_SECONDS)
+    wait_until(lambda: node.count_clients(setting.srv_name))
+    parameter = Parameter("max_skew", value=2.0).to_parameter_msg()
+    future = setting.call_async(SetParameters.Request(parameters=[parameter]))
+    assert is_applying.wait(TIMEOUT_SECONDS)
+    assert client.state() == "active"
+    # The program ends while its engine is busy.
+    assert client.change(Transition.TRANSITION_DEACTIVATE)
+    assert client.change(Transition.TRANSITION_CLEANUP)
+    is_idle.set()
+    wait_until(future.done)
+    (result,) = future.result().results
+    assert (result.successful, result.reason) == (
+        False,
+        "the program has ended meanwhile: set the parameters again",
+    )
+    assert node.get_parameter("max_skew").value is None
+
+
+def test_request_beyond_limit_of_threads_is_rejected(
+    network: Network, start: Callable[..., RetalisNode], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(rclpy_transport, "MAX_CONCURRENT_REQUESTS", 0)
+    monkeypatch.setattr(rclpy_transport, "MAX_WAITING_REQUESTS", 0)
+    node = start()
+    setting = network.add_node().create_client(SetParameters, "/retalis/set_parameters")
+    assert setting.wait_for_service(TIMEOUT_SECONDS)
+    wait_until(lambda: node.count_clients(setting.srv_name))
+    parameter = Parameter("max_skew", value=2.0).to_parameter_msg()
+    future = setting.call_async(SetParameters.Request(parameters=[parameter]))
+    wait_until(future.done)
+    (result,) = future.result().results
+    assert (result.successful, result.reason) == (
+        False,
+        "0 requests are running and 0 are waiting: send this one later",
+    )
 
 
 class ClockPublisher:

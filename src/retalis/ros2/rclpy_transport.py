@@ -4,12 +4,12 @@ import threading
 import time
 from contextlib import suppress
 from queue import SimpleQueue
-from typing import Any, Callable, Dict, List, Mapping, Optional, Sequence, Set, Tuple
+from typing import Any, Callable, Dict, List, Mapping, Optional, Set, Tuple
 
 from rcl_interfaces.msg import ParameterDescriptor
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.exceptions import InvalidHandle, InvalidServiceNameException, InvalidTopicNameException
-from rclpy.executors import SingleThreadedExecutor
+from rclpy.executors import Executor, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.task import Future
 
@@ -265,7 +265,7 @@ class RclpyTransport:
 
         async def handle(request: Any, response: Any) -> Any:
             try:
-                await self._run_in_thread(lambda: answer(request, response))
+                await self._requests.run(lambda: answer(request, response), self._executor)
             except UsageError as error:
                 response.result = f"error: {error}"
             return response
@@ -291,29 +291,6 @@ class RclpyTransport:
         """See `Transport`."""
         # A new client may have to wait until its service is discovered.
         self._call_threads.start(self._service_calls.call_service, name, call)
-
-    def call_in_thread(self, function: Callable[[], object]) -> None:
-        """Call a function in a thread of its own, which may wait and raises no errors.
-
-        Raises:
-            UsageError: if too many functions are waiting.
-        """
-        self._requests.submit(function)
-
-    def _run_in_thread(self, function: Callable[[], object]) -> Future:
-        """Return a future that is done when a function has ended; see `call_in_thread`."""
-        future = Future(executor=self._executor)
-
-        def run() -> None:
-            function()
-            # The executor may have ended meanwhile.
-            with suppress(InvalidHandle, AttributeError):
-                future.set_result(None)
-                # A future does not do so in all versions of rclpy.
-                self._executor.wake()
-
-        self._requests.submit(run)
-        return future
 
     # ---- graph
 
@@ -427,6 +404,36 @@ class RequestThreads:
                 threading.Thread(target=self._run, daemon=True, name="request").start()
         self._functions.put(function)
 
+    def run(self, function: Callable[[], object], executor: Executor) -> Future:
+        """Call a function as `submit` does; return a future with its end or error, which a callback can wait for.
+
+        Args:
+            function: the function, which may raise errors.
+            executor: runs the callback.
+
+        Raises:
+            UsageError: see `submit`.
+        """
+        future = Future(executor=executor)
+
+        def run() -> None:
+            error: Optional[Exception] = None
+            try:
+                function()
+            except Exception as raised:
+                error = raised
+            # The executor may have ended meanwhile.
+            with suppress(InvalidHandle, AttributeError):
+                if error is None:
+                    future.set_result(None)
+                else:
+                    future.set_exception(error)
+                # A future does not do so in all versions of rclpy.
+                executor.wake()
+
+        self.submit(run)
+        return future
+
     def _run(self) -> None:
         while True:
             function = self._functions.get()
@@ -461,7 +468,7 @@ class _ClockReceiver:
     def convert(self, message: bytes) -> None:
         self._clock.set_from(message)
 
-    def receive(self, messages: List[bytes], received: Sequence[int] = ()) -> None:
+    def receive(self, messages: List[bytes], *_: object) -> None:
         for message in messages:
             self._clock.set_from(message)
 

@@ -8,12 +8,13 @@ import threading
 from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
-from queue import SimpleQueue
 from typing import TYPE_CHECKING, Any, Callable, List, Optional
 
 import rclpy
 from lifecycle_msgs.srv import ChangeState
 from rcl_interfaces.msg import SetParametersResult
+from rcl_interfaces.srv import SetParameters, SetParametersAtomically
+from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.parameter import Parameter
 from rclpy.signals import SignalHandlerOptions
@@ -26,7 +27,6 @@ from ..node.host_context import HostContext
 from ..node.node_process import run_node_process, wait_while
 from ..node.parameters import (
     PARAMETER_DESCRIPTIONS,
-    AdjustableParameters,
     Parameters,
     check_adjustable,
     read_adjustable_parameters,
@@ -41,6 +41,7 @@ from .rclpy_transport import (
     AUTOSTART,
     NODE_PARAMETERS,
     RclpyTransport,
+    RequestThreads,
     declare_parameters,
     plain_value,
     read_node_parameters,
@@ -91,17 +92,18 @@ class RetalisNode(LifecycleNode):
         self._transition_lock = threading.Lock()
         """Held during a transition: the main thread starts the node, and the executor handles requests."""
         self._program_lock = threading.Lock()
-        """Held while the next two attributes change: the main thread ends the node at any moment."""
+        """Held while the next attributes change: the main thread ends the node at any moment."""
         self._transport: Optional[RclpyTransport] = None
         self._host: Optional[ProgramHost] = None
         self._is_ending = False
-        self._parameter_lock = threading.Lock()
-        """Held while parameters are read or changed."""
         self._program_parameters: Optional[Parameters] = None
-        self._application_lock = threading.Lock()
-        """Held while changed parameters are applied to the program."""
+        self._change_lock = threading.Lock()
+        """Held during a change of parameters, which may wait for the engine; no callback of the executor needs it."""
+        self._requests = RequestThreads()
         self._clock_subscription: Optional[Subscription] = None
         self._answer_refused_transitions()
+        self._change_parameters_in_threads()
+        self.add_on_set_parameters_callback(self._apply_changes)
         self._node_executor = NodeExecutor(self, self._reports.error)
 
     def start(self) -> bool:
@@ -120,6 +122,7 @@ class RetalisNode(LifecycleNode):
         with self._program_lock:
             self._is_ending = True
         self._end_program()
+        self._requests.stop()
         self._node_executor.stop()
         self.destroy_node()
 
@@ -144,54 +147,47 @@ class RetalisNode(LifecycleNode):
                 response.success = False
                 return response
 
-    def set_parameters_atomically(self, parameter_list: List[Parameter]) -> SetParametersResult:
-        """See `Node`. Parameters that are fixed are rejected with the reason.
+    def _change_parameters_in_threads(self) -> None:
+        """Handle requests that change parameters in threads of their own: the engine may be busy with an event."""
+        group = ReentrantCallbackGroup()
+        for service in self.services:
+            if service.srv_type in (SetParameters, SetParametersAtomically):
+                service.callback = self._run_in_thread(service.callback)
+                # A request that waits would block the other callbacks of the node's group.
+                service.callback_group = group
+                group.add_entity(service)
 
-        A callback for changes would not do: rclpy rejects read-only parameters before, and without a reason.
-        """
-        with self._parameter_lock:
+    def _run_in_thread(self, handle: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:
+        """Return a callback that runs the callback of a service in a thread."""
+
+        async def run(request: Any, response: Any) -> Any:
             try:
-                adjusted = self._check_changes(parameter_list)
-                confirm = self._reserve_application()
+                await self._requests.run(lambda: handle(request, response), self._node_executor.executor)
             except UsageError as error:
-                return SetParametersResult(successful=False, reason=str(error))
-            is_changed = False
-            try:
-                result = super().set_parameters_atomically(parameter_list)
-                is_changed = result.successful and self._program_parameters is not None
-                if is_changed and self._program_parameters is not None:
-                    self._program_parameters = self._program_parameters.adjust(adjusted)
-            finally:
-                confirm(is_changed)
-        return result
+                result = SetParametersResult(successful=False, reason=str(error))
+                if isinstance(request, SetParameters.Request):
+                    response.results = [result] * len(request.parameters)
+                else:
+                    response.result = result
+            return response
 
-    def _reserve_application(self) -> Callable[[bool], object]:
-        """Reserve a thread that applies a change to the running program; the engine may be busy with an event.
+        return run
 
-        Returns:
-            The function to call with whether there is a change.
+    def set_parameters_atomically(self, parameter_list: List[Parameter]) -> SetParametersResult:
+        """See `Node`. Parameters that are fixed are rejected with the reason, which rclpy does not give."""
+        try:
+            self._check_names(parameter_list)
+        except UsageError as error:
+            return SetParametersResult(successful=False, reason=str(error))
+        with self._change_lock:
+            return super().set_parameters_atomically(parameter_list)
 
-        Raises:
-            UsageError: if too many requests are waiting.
-        """
-        transport = self._transport
-        confirmations: SimpleQueue[bool] = SimpleQueue()
-        if transport is not None:
-
-            def apply_if_confirmed() -> None:
-                if confirmations.get():
-                    self._apply_parameters()
-
-            transport.call_in_thread(apply_if_confirmed)
-        return confirmations.put
-
-    def _check_changes(self, changes: List[Parameter]) -> AdjustableParameters:
-        """Return the adjustable parameters after a change.
+    def _check_names(self, changes: List[Parameter]) -> None:
+        """Check that parameters can be changed.
 
         Raises:
-            UsageError: if a parameter cannot be changed, or a value is invalid.
+            UsageError: if a parameter cannot be changed.
         """
-        values = read_node_parameters(self)
         for parameter in changes:
             name = parameter.name
             if name.partition(".")[0] in NODE_PARAMETERS:
@@ -202,26 +198,50 @@ class RetalisNode(LifecycleNode):
             check_adjustable(name)
             if parameter.value is None:
                 raise UsageError(f"parameter ~{name}: it cannot be deleted: set a value")
-            values[name] = plain_value(parameter)
-        return read_adjustable_parameters(values)
 
-    def _apply_parameters(self) -> None:
-        """Apply the present parameters to the running program."""
-        # Several changes may be applied at the same time, and the last one has to remain.
-        with self._application_lock:
-            host, parameters = self._host, self._program_parameters
-            if host is None or parameters is None:
+    def _apply_changes(self, changes: List[Parameter]) -> SetParametersResult:
+        """Apply changes to the program, all or none. rclpy has checked them, and stores them if this succeeds."""
+        try:
+            self._change_program(changes)
+        except RetalisError as error:
+            return SetParametersResult(successful=False, reason=str(error))
+        except Exception as error:
+            self._reports.error(error)
+            reason = "internal error; the log of the node has the details"
+            return SetParametersResult(successful=False, reason=reason)
+        return SetParametersResult(successful=True)
+
+    def _change_program(self, changes: List[Parameter]) -> None:
+        """Wait for the engine, and apply changes to the program.
+
+        Raises:
+            RetalisError: if a value is invalid, or the changes cannot be applied.
+        """
+        values = read_node_parameters(self)
+        values.update((parameter.name, plain_value(parameter)) for parameter in changes)
+        adjusted = read_adjustable_parameters(values)
+        with self._program_lock:
+            host, before = self._host, self._program_parameters
+            changed = None if before is None else before.adjust(adjusted)
+            if changed is None or changed == before:
                 return
-            try:
-                host.change_parameters(parameters._replace(embedded=True))
-            except Exception as error:
-                self._reports.error(error)
+            if host is None:
+                # A program that is being started compares them.
+                self._program_parameters = changed
+                return
+        host.change_parameters(changed)
+        with self._program_lock:
+            if self._host is not host:
+                raise UsageError("the program has ended meanwhile: set the parameters again")
+            self._program_parameters = changed
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Read the parameters."""
         try:
-            with self._parameter_lock:
-                self._program_parameters = read_parameters(read_node_parameters(self), find_default_program)
+            # There is no other node that could offer a part of the services.
+            parameters = read_parameters(read_node_parameters(self), find_default_program)
+            with self._program_lock:
+                self._program_parameters = parameters._replace(embedded=True)
         except Exception as error:
             self._report_failure(error)
             return TransitionCallbackReturn.FAILURE
@@ -247,7 +267,7 @@ class RetalisNode(LifecycleNode):
 
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Forget the parameters."""
-        with self._parameter_lock:
+        with self._program_lock:
             self._program_parameters = None
         return TransitionCallbackReturn.SUCCESS
 
@@ -270,26 +290,29 @@ class RetalisNode(LifecycleNode):
         Raises:
             RetalisError: if the program cannot start.
         """
-        parameters = self._program_parameters
-        assert parameters is not None
         with self._program_lock:
             if self._is_ending:
                 raise UsageError("the program is not started: the node is ending")
             # Registered at once, so that the program can be ended while it is being loaded.
             transport = self._transport = RclpyTransport(self, self._node_executor.executor, self._reports)
+            parameters = self._program_parameters
         if self._clock_subscription is not None:
             self.destroy_subscription(self._clock_subscription)
             self._clock_subscription = None
-        # There is no other node that could offer a part of the services.
-        context = HostContext(transport, parameters._replace(embedded=True), self._reports)
+        assert parameters is not None
+        context = HostContext(transport, parameters, self._reports)
         check_interrupt()
         host = ProgramHost(context, PlainTextExchange(context))
-        with self._program_lock:
-            if self._transport is not transport:
-                raise UsageError("the program is not started: the node has ended meanwhile")
-            self._host = host
-        # Parameters may have been changed since the beginning.
-        self._apply_parameters()
+        while True:
+            with self._program_lock:
+                if self._transport is not transport:
+                    raise UsageError("the program is not started: the node has ended meanwhile")
+                applied, parameters = parameters, self._program_parameters
+                if parameters is None or parameters is applied:
+                    self._host = host
+                    return
+            # They were changed while the program was being loaded.
+            host.change_parameters(parameters)
 
     def _end_program(self) -> None:
         """End the program if there is one; also one that is being started."""
