@@ -324,6 +324,29 @@ def test_state_is_restored_from_checkpoint(network: MemoryNetwork, start: Any, t
     assert robot.received["/alarm"] == ["pair"]
 
 
+def test_message_that_checkpoint_contains_is_ignored(
+    network: MemoryNetwork, start: Any, tmp_path: Path
+) -> None:
+    """The middleware delivers the last messages of a publisher to the subscription of the restarted node."""
+    robot = Robot(network)
+    robot.subscribe("/alarm")
+    checkpoint = str(tmp_path / "state.db")
+    host = start(ECHO, checkpoint=checkpoint)
+    publication = robot.publish("/scan")
+    (receiver,) = network.subscriptions["/scan"][0].receivers.values()
+    receiver.receive([encode("a"), encode("b")], [], [(5, 1), (5, 2)])
+    host.transport.shut_down()
+    network.subscriptions["/scan"].clear()
+    publication.close()
+    resumed_host = start(ECHO, checkpoint=checkpoint)
+    robot.publish("/scan")
+    (receiver,) = network.subscriptions["/scan"][0].receivers.values()
+    # The last one has equal contents, and was sent later.
+    receiver.receive([encode("a"), encode("b"), encode("b")], [], [(5, 1), (5, 2), (6, 3)])
+    resumed_host.engine.do(lambda: None)
+    assert robot.received["/alarm"] == ["a", "b", "b"]
+
+
 def test_ros_parameters_are_read_at_start_and_by_reload(network: MemoryNetwork, start: Any) -> None:
     network.ros_parameters["/limit"] = 40
     host = start(ECHO)

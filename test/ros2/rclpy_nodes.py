@@ -35,6 +35,7 @@ class RecordingReceiver:
     Attributes:
         messages: the received messages.
         received: instants of their reception in ns.
+        identities: what tells apart those that may be repeated.
         lost: number of messages that the transport has lost.
         source: the source.
     """
@@ -45,6 +46,7 @@ class RecordingReceiver:
     def __init__(self) -> None:
         self.messages: List[bytes] = []
         self.received: List[int] = []
+        self.identities: List[Any] = []
         self.lost = 0
         self.source = MessageSource("")
 
@@ -53,10 +55,13 @@ class RecordingReceiver:
         self.source = source
         return self
 
-    def receive(self, messages: List[bytes], received: Sequence[int] = ()) -> None:
+    def receive(
+        self, messages: List[bytes], received: Sequence[int] = (), identities: Sequence[Any] = ()
+    ) -> None:
         """Record messages."""
         self.messages += messages
         self.received += received
+        self.identities += identities
 
     def convert(self, message: bytes) -> None:
         """Record a message."""

@@ -279,7 +279,9 @@ def test_lost_messages_are_counted(network: Network) -> None:
     is_released = threading.Event()
     record = receiver.receive
 
-    def receive_slowly(messages: List[bytes], received: Sequence[int] = ()) -> None:
+    def receive_slowly(
+        messages: List[bytes], received: Sequence[int] = (), identities: Sequence[Any] = ()
+    ) -> None:
         record(messages)
         is_released.wait()
 
@@ -337,6 +339,33 @@ def test_sent_message_is_received_by_other_node(network: Network) -> None:
     wait_until(lambda: texts)
     assert texts == ["hello"]
     assert (publication.sent, publication.dropped) == (1, 0)
+
+
+def test_repeated_message_has_the_same_identity(network: Network) -> None:
+    publisher = network.add_node().create_publisher(String, "texts", TRANSIENT_LOCAL)
+    publisher.publish(String(data="map"))
+    receivers = [RecordingReceiver() for _ in range(2)]
+    for number, receiver in enumerate(receivers):
+        subscribe(network.add_transport(f"retalis{number}"), receiver)
+        wait_until(lambda: receiver.messages)  # noqa: B023 - called at once
+    # An equal message that is sent again.
+    publisher.publish(String(data="map"))
+    wait_until(lambda: all(len(receiver.messages) == 2 for receiver in receivers))
+    first, second = receivers
+    assert first.identities == second.identities
+    assert first.identities[0] != first.identities[1]
+
+
+def test_messages_that_are_not_repeated_have_no_identity(network: Network) -> None:
+    publisher = network.add_node().create_publisher(String, "texts", 10)
+    receiver = RecordingReceiver()
+    transport = network.add_transport()
+    find_graph(transport)
+    subscribe(transport, receiver)
+    wait_until(publisher.get_subscription_count)
+    publisher.publish(String(data="scan"))
+    wait_until(lambda: receiver.messages)
+    assert receiver.identities == []
 
 
 def test_latched_message_reaches_late_subscriber(network: Network) -> None:

@@ -16,6 +16,7 @@ from lifecycle_msgs.srv import ChangeState, GetState
 from rcl_interfaces.msg import ParameterType
 from rcl_interfaces.srv import DescribeParameters, GetParameters, SetParameters
 from rclpy.parameter import Parameter
+from rclpy.qos import DurabilityPolicy, QoSProfile
 from ros2.rclpy_nodes import TIMEOUT_SECONDS, Network, wait_until
 from std_msgs.msg import String
 
@@ -43,6 +44,8 @@ def program(tmp_path: Path) -> Path:
     (folder / "goalPredicates.txt").write_text(GOALS)
     return folder
 
+
+TRANSIENT_LOCAL = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 REPETITION_SECONDS = 10.0
 """Seconds after which a request without response is repeated."""
@@ -105,6 +108,31 @@ def test_name_and_remapping_of_node_are_followed(network: Network, start_node: A
     wait_until(publisher.get_subscription_count)
     assert call(network.add_node("caller"), ListService, "/robot/monitor/list").result == "ok"
     assert node.interrupt() == 0
+
+
+@pytest.mark.slow
+def test_repeated_message_is_ignored_after_restart(
+    network: Network, start_node: Any, program: Path, tmp_path: Path
+) -> None:
+    frames: List[str] = []
+    peer = network.add_node()
+    peer.create_subscription(String, "frames", lambda message: frames.append(message.data), 10)
+    publisher = peer.create_publisher(PoseStamped, "pose", TRANSIENT_LOCAL)
+    message = PoseStamped()
+    message.header.frame_id = "map"
+    publisher.publish(message)
+    arguments = ("-p", f"program:={program}", "-p", f"checkpoint:={tmp_path / 'state.db'}")
+    node = start_node(*arguments)
+    wait_until(lambda: frames)
+    assert node.interrupt() == 0
+    wait_until(lambda: not publisher.get_subscription_count())
+    restarted = start_node(*arguments)
+    wait_until(lambda: "was processed before the restart" in restarted.log())
+    # An equal message that is sent again.
+    publisher.publish(message)
+    wait_until(lambda: len(frames) == 2)
+    assert restarted.interrupt() == 0
+    assert frames == ["map", "map"]
 
 
 def set_parameter(node: Any, name: str, value: Any) -> str:

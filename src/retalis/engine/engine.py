@@ -51,6 +51,7 @@ from .engine_status import DEFAULT_LISTING_LIMIT, Status
 from .event_input import Subscribe
 from .hot_reload import NullReports, create_fixed_clock, create_trial_settings, reload_folder
 from .loaded_items import Deployment
+from .processed_messages import IdentifiedMessage
 from .program_loader import ProgramLoader, resolve_path
 from .ros_parameters import ReadParameter
 from .runtime.problem_reports import Reports
@@ -363,6 +364,16 @@ class Engine:
                 exception that it raises is raised here after all previous messages are processed.
         """
         self.executor.post_each(self._dispatch_message, messages)
+
+    def post_identified(self, messages: Iterable[Tuple[IdentifiedMessage, Optional[int]]]) -> None:
+        """Queue messages as `post_each` does, without those that the restored state contains.
+
+        >>> battery = IdentifiedMessage(functor("battery", 1)(87), "/battery", (1_500_000_000, 1))
+        >>> engine = Engine()
+        >>> engine.post_identified([(battery, 1_500_000_000)])
+        >>> Engine.restore(engine.snapshot()).post_identified([(battery, 1_500_000_000)])
+        """
+        self.executor.post_each(self.event_input.dispatch_identified, messages)
 
     def post_text(self, text: str) -> None:
         """Queue an event as text: ``event(E)``, ``event(E,[T1,T2])`` or ``new_event(...)``.

@@ -35,6 +35,7 @@ from ..prolog.terms.timestamps import format_distance
 from ..prolog.terms.types import Atom, String, Term, Var, deref
 from ..serialization.field_types import COUNT
 from ..serialization.state_fields import StateFields, StateOwner, field, part
+from .processed_messages import IdentifiedMessage, ProcessedMessages
 from .runtime.problem_reports import Reports
 
 log = logging.getLogger("retalis")
@@ -56,12 +57,14 @@ class EventInput(StateOwner):
         event_count: number of events received.
         far_ahead_count: number of events whose times were too far ahead of the clock: those that did not move it, and
             those from which it returned.
+        processed_messages: messages that the middleware may deliver again after a restart.
         stream_clock: the clock if timestamps of events move it.
     """
 
     STATE = StateFields(
         field("event_count", COUNT),
         field("far_ahead_count", COUNT),
+        part("processed_messages"),
         part("stamp_jumps"),
     )
 
@@ -85,6 +88,7 @@ class EventInput(StateOwner):
         self._dispatcher = dispatcher
         self._dispatch = dispatcher.dispatch_input
         self.event_count = self.far_ahead_count = 0
+        self.processed_messages = ProcessedMessages()
 
     def dispatch_event(
         self, term: Term, start: Optional[int], end: Optional[int], ground: Optional[bool] = None
@@ -141,6 +145,17 @@ class EventInput(StateOwner):
         self.event_count += 1
         # Messages contain no variables.
         self._dispatch(term, stamp, stamp, True)
+
+    def dispatch_identified(self, message: IdentifiedMessage, instant: Optional[int] = None) -> None:
+        """Dispatch a message as `dispatch_message` does, unless it was processed before a restart."""
+        if message in self.processed_messages:
+            log.info("topic %s: a message that was processed before the restart is ignored", message.topic)
+            return
+        try:
+            self.dispatch_message(message.event, instant)
+        finally:
+            # Last: the clock may go back, and the messages before belong to the former time.
+            self.processed_messages.add(message)
 
     def process_input(self, term: Union[Term, TransformMessage], instant: Optional[int] = None) -> None:
         """Dispatch a message as `dispatch_message` does, or store the transforms of a message."""
@@ -231,6 +246,8 @@ class EventInput(StateOwner):
             log.warning("time went back: memories, waiting queries and partial matches are cleared")
             self._knowledge.clear()
             self._rules.clear()
+            # Their events are lost.
+            self.processed_messages.clear()
         # Rules that were added or removed may have changed the delays of alarms.
         self._watermarks.update()
         # Only alarms up to the present instant run here. An alarm that becomes due meanwhile runs before the next

@@ -112,7 +112,7 @@ class RunningProgram:
             transport,
             definitions,
             reports,
-            processing._replace(consume_results=engine.post_each),
+            processing._replace(consume_results=engine.post_each, consume_identified=engine.post_identified),
             options._replace(
                 quality_of=lambda topic: quality_of(topics.subscribed_quality, topic, transport.resolve_topic)
             ),

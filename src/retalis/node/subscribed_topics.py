@@ -35,6 +35,7 @@ from typing import (
 )
 
 from ..engine.event_input import TopicRequest
+from ..engine.processed_messages import IdentifiedMessage, MessageIdentity
 from ..engine.runtime.clock_epochs import ClockEpochs
 from ..engine.runtime.clock_skew import ClockSkewMonitor, EarlyMessage, RefusedMessage
 from ..engine.runtime.problem_reports import Reports
@@ -73,7 +74,7 @@ ResultConsumer = Callable[[Iterable[Any]], object]
 """Receives the results of messages that were read together, as a lazy iterable."""
 
 BatchHandler = Callable[..., None]
-"""Handler of messages that were read together, and optionally the instants of their reception."""
+"""Handler of messages that were read together; see `MessageReceiver.receive`."""
 
 Convert = Callable[[bytes], Any]
 """Returns the result of a message; None if it is dropped."""
@@ -108,6 +109,8 @@ class MessageProcessing(NamedTuple):
         reads_transforms: whether messages are converted to transforms.
         stamp_receipt: returns the instant of an event without one, given the instant at which the middleware has
             received its message; None if this cannot be the instant. Results are pairs of event and instant then.
+        consume_identified: receives the results of messages that may be delivered again, with `IdentifiedMessage` in
+            place of the events; None if ``consume_results`` receives them as others.
     """
 
     make_handler: HandlerFactory
@@ -117,6 +120,7 @@ class MessageProcessing(NamedTuple):
     clock_epochs: Optional[ClockEpochs] = None
     reads_transforms: bool = False
     stamp_receipt: Optional[Callable[[int], Optional[int]]] = None
+    consume_identified: Optional[ResultConsumer] = None
 
 
 def log_replaced_type(request: TopicRequest, source: MessageSource) -> None:
@@ -332,6 +336,7 @@ class SubscribedTopics:
             processing = self._processing._replace(
                 make_handler=make_transform_handler_factory(topic == STATIC_TRANSFORM_TOPIC),
                 consume_results=consume_results,
+                consume_identified=None,
                 skew=None,
                 reads_transforms=True,
                 stamp_receipt=None,
@@ -594,7 +599,11 @@ class SubscribedTopic:
             handle_batch = _handle_parts(split, handle_batch)
         uses_receipts = self._processing.stamp_receipt is not None
 
-        def handle_messages(messages: List[bytes], received: Sequence[int] = ()) -> None:
+        def handle_messages(
+            messages: List[bytes],
+            received: Sequence[int] = (),
+            identities: Sequence[MessageIdentity] = (),
+        ) -> None:
             counts.count(len(messages))
             monitor.begin(messages)
             if not uses_receipts:
@@ -609,7 +618,7 @@ class SubscribedTopic:
                 ):
                     clock_epochs.buffer(handle_batch, messages)
                 else:
-                    handle_batch(messages, received)
+                    handle_batch(messages, received, identities)
             monitor.end()
 
         return handle_messages
@@ -617,9 +626,12 @@ class SubscribedTopic:
     def _make_result_handler(self, convert: Convert, source: MessageSource) -> BatchHandler:
         """Return a handler that converts messages and passes on the results."""
         consume_results, clock_epochs = self._processing.consume_results, self._processing.clock_epochs
+        consume_identified, topic = self._processing.consume_identified, self.request.topic
         stamp_receipt = self._processing.stamp_receipt
 
-        def convert_all(messages: List[bytes], received: Sequence[int]) -> Iterator[Any]:
+        def convert_all(
+            messages: List[bytes], received: Sequence[int], identities: Sequence[MessageIdentity]
+        ) -> Iterator[Any]:
             for position, data in enumerate(messages):
                 try:
                     result = convert(data)
@@ -633,12 +645,20 @@ class SubscribedTopic:
                 if result is None:
                     continue
                 if received and stamp_receipt is not None and result[1] is None:
-                    yield result[0], stamp_receipt(received[position])
-                else:
-                    yield result
+                    result = result[0], stamp_receipt(received[position])
+                if identities:
+                    result = IdentifiedMessage(result[0], topic, identities[position]), result[1]
+                yield result
 
-        def handle_batch(messages: List[bytes], received: Sequence[int] = ()) -> None:
-            consume_results(convert_all(messages, received))
+        def handle_batch(
+            messages: List[bytes],
+            received: Sequence[int] = (),
+            identities: Sequence[MessageIdentity] = (),
+        ) -> None:
+            if identities and consume_identified is not None:
+                consume_identified(convert_all(messages, received, identities))
+            else:
+                consume_results(convert_all(messages, received, ()))
 
         return handle_batch
 
@@ -685,7 +705,7 @@ class SubscribedTopic:
     def _make_dropping_handler(self, reason: str) -> BatchHandler:
         """Return a handler that drops, counts and reports messages."""
 
-        def reject(messages: List[bytes], received: Sequence[int] = ()) -> None:
+        def reject(messages: List[bytes], *details: object) -> None:
             self.counts.count(len(messages))
             self.counts.refused += len(messages)
             for _ in messages:
@@ -695,14 +715,16 @@ class SubscribedTopic:
 
 
 def _handle_parts(split: Split, handle_batch: BatchHandler) -> BatchHandler:
-    """Return the handler of messages whose parts another handler receives."""
+    """Return the handler of messages whose parts another handler receives; the parts have no identities."""
 
-    def handle_parts(messages: List[bytes], received: Sequence[int] = ()) -> None:
+    def handle_parts(
+        messages: List[bytes],
+        received: Sequence[int] = (),
+        identities: Sequence[MessageIdentity] = (),
+    ) -> None:
         split_messages = list(map(split, messages))
         # Each part was received with its message.
-        part_receipts = [
-            instant for parts, instant in zip(split_messages, received) for _ in range(len(parts))
-        ]
+        part_receipts = [instant for parts, instant in zip(split_messages, received) for _ in parts]
         handle_batch([part for parts in split_messages for part in parts], part_receipts)
 
     return handle_parts

@@ -27,6 +27,7 @@ from typing import (
     Tuple,
 )
 
+from ..engine.processed_messages import MessageIdentity
 from ..engine.service_calls import ServiceCall
 from ..events.knowledge.transform_buffer import TransformBuffer
 from ..events.program.topic_configuration import ANY_QUALITY, QualityOfService
@@ -80,7 +81,12 @@ class MessageReceiver(Protocol):
         Errors are reported here.
         """
 
-    def receive(self, messages: List[bytes], received: Sequence[int] = ()) -> None:
+    def receive(
+        self,
+        messages: List[bytes],
+        received: Sequence[int] = (),
+        identities: Sequence[MessageIdentity] = (),
+    ) -> None:
         """Process serialized messages that were read together. Errors are reported here and not raised.
 
         The time between two calls shows whether the source waits for this node, which is a sign of lost messages.
@@ -89,6 +95,8 @@ class MessageReceiver(Protocol):
             messages: the messages, in the order of their reception.
             received: instants of the machine's clock at which the middleware has received them, in nanoseconds since
                 the epoch, 0 if unknown; empty if the middleware does not tell.
+            identities: what tells the messages apart from others of the topic, if the middleware may deliver them
+                again after a restart of this node; a message that a checkpoint contains is ignored.
         """
 
     def record_lost(self, count: int) -> None:

@@ -117,7 +117,9 @@ class RclpySubscription:
         self._former: Optional[Subscription] = None
         self._former_checks = 0
         self._check_count = 0
-        self._quality = choose_quality(self._offers(), options.requested)
+        offers = self._offers()
+        self._quality = choose_quality(offers, options.requested)
+        self._knows_publishers = bool(offers)
         self._subscription = self._open(self._quality)
         self._publisher_count = -1
         self._check_publishers()
@@ -205,6 +207,7 @@ class RclpySubscription:
     def _choose_again(self) -> None:
         """Subscribe with another quality if that of the publishers has changed."""
         offers = self._offers()
+        self._knows_publishers = self._knows_publishers or bool(offers)
         quality = choose_quality(offers, self._options.requested)
         self._report_mismatches(list_mismatches(offers, quality), quality)
         with self._lock:
@@ -264,7 +267,14 @@ class RclpySubscription:
         if not new:
             return
         receiver = self._find_receiver()
-        receiver.receive([message.data for message in new], [message.received for message in new])
+        # The first messages of a publisher may be received before its quality is known.
+        may_be_repeated = self._quality.is_transient_local or not self._knows_publishers
+        is_identified = may_be_repeated and all(message.sent for message in new)
+        receiver.receive(
+            [message.data for message in new],
+            [message.received for message in new],
+            [(message.sent, message.number) for message in new] if is_identified else (),
+        )
         # After `receive`: a message that is being processed may be lost, too.
         self._count_lost(messages, receiver, is_overlap)
 

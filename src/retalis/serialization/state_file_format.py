@@ -32,6 +32,7 @@ MIGRATIONS: Dict[int, Mapping[str, FieldChange]] = {
     12: {
         "StoredProgram": FieldChange(added={"awaited_types": []}),
         "StoredRule": FieldChange(removed=["name"]),
+        "EventInput": FieldChange(added={"processed_messages": ["identities", []]}),
         "RunState": FieldChange(added={"service_calls": _NO_SERVICE_CALLS}),
         "StoredState": FieldChange(removed=["preceding_matches"]),
     },
