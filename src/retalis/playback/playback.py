@@ -69,7 +69,7 @@ from ..messages.transform_messages import TRANSFORM_TOPICS
 from ..messages.type_definition import Definition
 from ..messages.type_registry import Definitions
 from ..node.running_program import OutputCallbacks, ProgramContext, RunningProgram, make_event_handler
-from ..node.subscribed_topics import MessageProcessing, ReadingOptions, list_endpoints
+from ..node.subscribed_topics import HandlerFactory, MessageProcessing, ReadingOptions, list_endpoints
 from ..node.transport import MessageSource
 from ..prolog.syntax.term_writer import canonical_text
 from ..prolog.terms.types import Term
@@ -122,6 +122,20 @@ class TimedCall(NamedTuple):
     call: Callable[[], object]
 
 
+class Pause(NamedTuple):
+    """A place in a stream of messages at which a playback pauses; see `shared_pass`.
+
+    Attributes:
+        time: the time of the last message before it, in nanoseconds.
+    """
+
+    time: int
+
+
+ReadRecords = Callable[[Set[str]], Iterator[Union[Record, Pause]]]
+"""Returns the messages of the topics with some names, in the order of receipt."""
+
+
 class Playback:
     """A program that processes messages from bags.
 
@@ -146,6 +160,7 @@ class Playback:
             by default ``tf`` and ``ar_pose_marker``, unless the program names them.
         definitions: the known message types, to which those of bags are added; the installed types by default.
         prepare: called with the new engine before the program is loaded, for example to answer calls of services.
+        make_handler: returns the functions from messages to events.
 
     Raises:
         UsageError: if a file of the program cannot be read, or the state is invalid.
@@ -163,6 +178,7 @@ class Playback:
         direct: DirectTopics = AUTO,
         definitions: Optional[Definitions] = None,
         prepare: Callable[[Engine], object] = lambda engine: None,
+        make_handler: HandlerFactory = make_event_handler,
     ):
         self._folder = folder = Path(program)
         self._transport = BagTransport()
@@ -190,7 +206,7 @@ class Playback:
         self._outputs: List[Output] = []
         self._latched_topics = set(map(self._transport.resolve_topic, topic_file.latched))
         added_topics = [TopicType(topic.topic, ros1_type_name(topic.type)) for topic in topics]
-        self._program = self._create_program(topic_file, added_topics, direct)
+        self._program = self._create_program(topic_file, added_topics, direct, make_handler)
         # Topics that the caller lists must be in the bag; those of `AUTO` need not be.
         listed_topics = direct if isinstance(direct, tuple) else ()
         self._needed_topics = [*topic_file.subscribed, *listed_topics, *added_topics]
@@ -207,7 +223,11 @@ class Playback:
             self._load_program()
 
     def _create_program(
-        self, topic_file: Topics, added_topics: Iterable[TopicType], direct: DirectTopics
+        self,
+        topic_file: Topics,
+        added_topics: Iterable[TopicType],
+        direct: DirectTopics,
+        make_handler: HandlerFactory,
     ) -> RunningProgram:
         """Return the program on the bag.
 
@@ -215,6 +235,7 @@ class Playback:
             topic_file: contents of ``pub_sub.xml``.
             added_topics: topics that override the types of ``pub_sub.xml`` and of direct topics.
             direct: value of ``~direct``.
+            make_handler: returns the functions from messages to events.
         """
         resolve_topic = self._transport.resolve_topic
         added = {resolve_topic(topic.topic): topic for topic in added_topics}
@@ -234,7 +255,7 @@ class Playback:
         return RunningProgram(
             ProgramContext(self._transport, self.definitions, self._reports, topics, kept_direct_topics),
             self.engine,
-            MessageProcessing(make_event_handler, nullcontext(), skew=self._skew_monitor),
+            MessageProcessing(make_handler, nullcontext(), skew=self._skew_monitor),
             # The nodes of a recording may have exchanged texts, which a program may analyze.
             ReadingOptions(0, reserved=(), report_replaced_type=_log_replaced_type),
             OutputCallbacks(self._collect_output, self._report_unpublished, "its outputs are no messages"),
@@ -274,6 +295,39 @@ class Playback:
             calls: functions to call between the messages, ordered by time; none is later than the end of the bag.
             requires_topics: whether to warn about topics of ``pub_sub.xml``, and transforms, that the bag lacks.
         """
+        for output in self._run(bag, bag.records, progress, is_last, flush_time, calls, requires_topics):
+            # `bag.records` has no pauses.
+            if output is not None:
+                yield output
+
+    def run_in_steps(self, bag: Bag, read_records: ReadRecords) -> Iterator[Optional[Output]]:
+        """Process a bag whose messages the caller provides; yield the outputs, and None at each pause.
+
+        Mistakes in the program are not logged; see `log_mistakes`.
+
+        >>> with BagReader(folder / "talk.bag") as bag:
+        ...     print(len(list(Playback(folder, report=print).run_in_steps(bag, bag.records))))
+        1
+
+        Args:
+            bag: the bag.
+            read_records: returns the messages of the bag, with pauses. Topics that goals subscribe to meanwhile are
+                read from the bag itself.
+        """
+        self._is_checked = True
+        return self._run(bag, read_records)
+
+    def _run(
+        self,
+        bag: Bag,
+        read_records: ReadRecords,
+        progress: Callable[[int], object] = lambda done: None,
+        is_last: bool = True,
+        flush_time: int = 0,
+        calls: Iterable[TimedCall] = (),
+        requires_topics: bool = True,
+    ) -> Iterator[Optional[Output]]:
+        """Process a bag; see `run` and `run_in_steps`."""
         outputs, engine, program = self._outputs, self.engine, self._program
         transforms = engine.program.knowledge.transforms
         program.require_transforms()
@@ -293,11 +347,13 @@ class Playback:
             log.warning(
                 "%s has no transforms on %s, which the program reads", bag.path, " or ".join(TRANSFORM_TOPICS)
             )
-        records = self._read_records(bag, topic_names, calls)
+        records = self._read_records(bag, read_records(topic_names), calls)
         message_numbers = count(1)
         # Each iteration is one batch: `records` yields None before it continues outside `post_each`.
         for record in records:
-            if record is not None:
+            if record.__class__ is Pause:
+                yield None
+            elif record is not None:
                 batch = chain((record,), records)
                 messages = self._convert_messages(batch, lambda: progress(next(message_numbers)))
                 if transforms.is_required:
@@ -340,7 +396,7 @@ class Playback:
         return self._transport.resolve_topic(topic) in self._latched_topics
 
     def _convert_messages(
-        self, records: Iterable[Optional[Record]], count_message: Callable[[], object]
+        self, records: Iterable[Any], count_message: Callable[[], object]
     ) -> Iterator[Tuple[Any, Optional[int]]]:
         """Yield the events of records with their instants, until a message produces an output or an alarm is due.
 
@@ -366,16 +422,16 @@ class Playback:
                 return
 
     def _read_records(
-        self, bag: Bag, topics: Set[str], calls: Iterable[TimedCall]
-    ) -> Iterator[Optional[Record]]:
-        """Yield the messages of topics, including topics that goals subscribe to while the bag is played.
+        self, bag: Bag, records: Iterable[Union[Record, Pause]], calls: Iterable[TimedCall]
+    ) -> Iterator[Union[Record, Pause, None]]:
+        """Yield messages and pauses, and the messages of topics that goals subscribe to while the bag is played.
 
         Alarms fire before the message that follows them is yielded, and all of them after the last message. Before
-        they fire, before new topics are read, and before scheduled functions are called, None is yielded: the caller
-        must leave `Engine.post_each` before it requests the next item.
+        they fire, before new topics are read, before a pause, and before scheduled functions are called, None is
+        yielded: the caller must leave `Engine.post_each` before it requests the next item.
         """
         has_new_topics = self._transport.has_new_subscriptions
-        stream: Iterator[Union[Record, TimedCall]] = iter(bag.records(topics))
+        stream: Iterator[Union[Record, Pause, TimedCall]] = iter(records)
         # A stream without calls is not merged, which would cost time for each message.
         calls = tuple(calls)
         if calls:
@@ -403,6 +459,8 @@ class Playback:
                 self.engine.advance()
                 record.call()
             else:
+                if record.__class__ is Pause:
+                    yield None
                 yield record  # type: ignore[misc]
 
     def _read_new_topics(self, bag: Bag) -> Iterator[Record]:
