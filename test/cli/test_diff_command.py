@@ -68,7 +68,39 @@ def run_diff(capsys: pytest.CaptureFixture[str], *arguments: Any) -> Tuple[int, 
 
 
 def test_equal_versions_have_status_0(capsys: pytest.CaptureFixture[str], folder: Path) -> None:
-    assert run_diff(capsys, "old", "old", "bags") == (0, "2 bags: 3 equal outputs\n", "")
+    assert run_diff(capsys, "old", "old", "bags", "--full") == (0, "2 bags: 3 equal outputs\n", "")
+    rules = (folder / "old" / "eventRules.txt").read_text()
+    write_program(folder / "new", 40)
+    (folder / "new" / "eventRules.txt").write_text("% A comment.\n" + rules.replace(" where", "\n    where"))
+    expected = "2 bags: 2 not read (the programs are equal)\n"
+    assert run_diff(capsys, "old", "new", "bags") == (0, expected, "")
+
+
+def test_rules_that_cannot_differ_are_not_run(capsys: pytest.CaptureFixture[str], folder: Path) -> None:
+    for version, threshold in (("old", 10), ("new", 40)):
+        with (folder / version / "goalPredicates.txt").open("a") as goals:
+            goals.write("subscribe(cold(_), [], _, notes, n)\n")
+        with (folder / version / "eventRules.txt").open("a") as rules:
+            rules.write(f"cold(T) <- std_msgs__0__Int8(T) where T < {threshold}.\n")
+    write_rules = (folder / "old" / "eventRules.txt").read_text().replace("T > 40", "T > 42")
+    (folder / "old" / "eventRules.txt").write_text(write_rules)
+    status, text, _ = run_diff(capsys, "old", "new", "bags/a.bag")
+    assert status == 1
+    # Output `hot(43)` of the other rule is not counted.
+    assert text.splitlines()[-1] == (
+        "1 bag: 0 equal outputs, 1 gained, 1 run in part (the other rules cannot differ)"
+    )
+    assert run_diff(capsys, "old", "new", "bags/a.bag", "--full")[1].endswith(
+        "1 bag: 1 equal output, 1 gained\n"
+    )
+
+
+def test_bag_without_needed_events_is_not_read(capsys: pytest.CaptureFixture[str], folder: Path) -> None:
+    with (folder / "new" / "eventRules.txt").open("a") as rules:
+        rules.write("cold(T) <- other(T).\n")
+    (folder / "old" / "eventRules.txt").write_text("hot(T) <- std_msgs__0__Int8(T) where T > 42.\n")
+    expected = "2 bags: 2 not read (no event for the rules that differ)\n"
+    assert run_diff(capsys, "old", "new", "bags") == (0, expected, "")
 
 
 def test_lost_output_has_reasons_of_both_versions(capsys: pytest.CaptureFixture[str], folder: Path) -> None:
@@ -129,10 +161,11 @@ def test_revision_has_files_of_other_folders(
     (folder / "old" / "eventRules.txt").symlink_to("../common/rules.txt")
     git("add", "old", "common")
     git("commit", "-m", "first")
-    assert run_diff(capsys, "--git", "HEAD", "old", "bags/a.bag") == (0, "1 bag: 2 equal outputs\n", "")
+    equal = (0, "1 bag: 1 not read (the programs are equal)\n", "")
+    assert run_diff(capsys, "--git", "HEAD", "old", "bags/a.bag") == equal
     (folder / "old" / "goalPredicates.txt").write_text(GOALS.replace("eventRules", "../common/rules"))
     git("commit", "-a", "-m", "second")
-    assert run_diff(capsys, "--git", "HEAD", "old", "bags/a.bag") == (0, "1 bag: 2 equal outputs\n", "")
+    assert run_diff(capsys, "--git", "HEAD", "old", "bags/a.bag") == equal
 
 
 def test_errors_name_files_of_the_revision(
@@ -168,7 +201,7 @@ def test_outputs_far_apart_have_not_moved(capsys: pytest.CaptureFixture[str], fo
 
 def test_errors_have_status_1(capsys: pytest.CaptureFixture[str], folder: Path) -> None:
     (folder / "bags" / "c.bag").write_bytes(b"no bag")
-    status, text, error = run_diff(capsys, "old", "old", "bags")
+    status, text, error = run_diff(capsys, "old", "old", "bags", "--full")
     assert status == 1
     assert text == "3 bags: 3 equal outputs, 1 bag failed\n"
     assert error.startswith("error: bags/c.bag")
@@ -180,7 +213,7 @@ def test_errors_have_status_1(capsys: pytest.CaptureFixture[str], folder: Path) 
 
 def test_bag_at_url_is_downloaded(capsys: pytest.CaptureFixture[str], folder: Path) -> None:
     pytest.importorskip("fsspec")
-    status, text, error = run_diff(capsys, "old", "old", f"file://{folder}/bags/a.bag")
+    status, text, error = run_diff(capsys, "old", "old", f"file://{folder}/bags/a.bag", "--full")
     assert (status, text, error) == (0, "1 bag: 2 equal outputs\n", "")
     (folder / "bags" / "c.bag").write_bytes(b"no bag")
     status, _, error = run_diff(capsys, "old", "old", f"file://{folder}/bags/c.bag")

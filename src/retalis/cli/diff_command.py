@@ -5,6 +5,7 @@ import os
 import sys
 from collections import Counter
 from contextlib import ExitStack, closing
+from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Callable, Dict, List, NamedTuple, Optional, Sequence, Tuple
@@ -13,6 +14,7 @@ from xml.etree import ElementTree
 from ..foundation.errors import RetalisError, UsageError, format_count, printable
 from ..foundation.output_files import print_json, write_xml
 from ..messages.type_registry import Definitions
+from ..node.subscribed_topics import HandlerFactory
 from ..playback.bag_locations import MergedBag, find_bags, is_url, local_copy
 from ..playback.playback import Playback
 from ..playback.worker_pools import Unfinished, run_in_processes, run_on_cluster
@@ -24,8 +26,10 @@ from ..testing.output_changes import (
     Comparison,
     OutputChange,
     PlainOutput,
+    Version,
     compare_versions,
 )
+from ..testing.program_difference import Extent
 from .command_options import add_message_folders, message_folders
 from .git_revisions import Revision, extract_revision
 from .option_values import non_negative, positive_integer
@@ -39,8 +43,7 @@ changed, with the reason in both versions. A folder of bags stands for all bags 
   retalis diff OLD NEW BAG...              two folders
   retalis diff --git REVISION PROGRAM BAG...    a folder in git, before and after
 
-The exit status is 0 if all outputs are equal, 1 if any differs or a bag or program has an error, and 2 for wrong
-usage.
+Exit status 0 if all outputs are equal, 1 if any differs or a bag or program has an error, 2 for wrong usage.
 """
 
 
@@ -54,7 +57,7 @@ def add_parser(add_command: Callable[..., argparse.ArgumentParser]) -> None:
     )
     add = parser.add_argument
     add("paths", nargs="+", metavar="PATH", help="OLD, NEW and bags; with --git a program and bags")
-    add("--git", metavar="REVISION", help="the old version is that of the program's folder in this revision")
+    add("--git", metavar="REVISION", help="the old version is the program's folder in this revision")
     add(
         "-j",
         "--jobs",
@@ -68,6 +71,11 @@ def add_parser(add_command: Callable[..., argparse.ArgumentParser]) -> None:
         default=MOVED_WITHIN_SECONDS,
         metavar="SECONDS",
         help=f"an equal output up to SECONDS earlier or later has moved ({MOVED_WITHIN_SECONDS:g})",
+    )
+    add(
+        "--full",
+        action="store_true",
+        help="run also the rules that cannot differ, and report their errors",
     )
     add("--json", action="store_true", help="print one JSON object for each change")
     add("--junit", type=Path, metavar="FILE", help="write the results as JUnit XML, a test case for each bag")
@@ -90,6 +98,7 @@ class _ComparisonTask(NamedTuple):
     bag: str
     message_folders: Sequence[str]
     moved_within: float
+    is_full: bool
 
 
 class _BagResult(NamedTuple):
@@ -156,6 +165,7 @@ def _create_tasks(
             bag if is_url(bag) else absolute(bag),
             folders,
             options.moved_within,
+            options.full,
         )
         for bag in bags
     ]
@@ -192,24 +202,34 @@ def _run_tasks(options: argparse.Namespace, tasks: Sequence[_ComparisonTask]) ->
 
 def _compare_bag(task: _ComparisonTask, scratch: str) -> _BagResult:
     """Compare the outputs of both versions for a bag; a bag at a URL is downloaded to ``scratch``."""
-    problems = ProblemLog(str)
     definitions = installed_definitions(task.message_folders)
+    problems = ProblemLog(str)
+    # One for each version, so that the errors of the old version precede those of the new one.
+    logs = [ProblemLog(str) for _ in range(2)]
     try:
         with problems.attached(), local_copy(task.bag, scratch) as path, MergedBag([path]) as bag:
+            old, new = (
+                Version(folder, partial(_load, folder, definitions, bag, log), log.attached)
+                for folder, log in zip((task.old, task.new), logs)
+            )
             comparison = compare_versions(
-                lambda: _load(task.old, definitions, bag, problems),
-                lambda: _load(task.new, definitions, bag, problems),
+                old,
+                new,
                 bag,
                 task.moved_within,
+                # The parts of a program with errors are not known.
+                lambda: not (task.is_full or logs[0].errors or logs[1].errors),
             )
     except RetalisError as error:
         return _BagResult(task.bag, None, error.message)
-    unique_problems = tuple(dict.fromkeys(problems.errors))
+    unique_problems = tuple(dict.fromkeys(problem for log in (*logs, problems) for problem in log.errors))
     return _BagResult(task.bag, comparison._replace(problems=unique_problems))
 
 
-def _load(folder: Path, definitions: Definitions, bag: MergedBag, problems: ProblemLog) -> Playback:
-    return Playback(folder, problems.add_error, bag=bag, definitions=definitions)
+def _load(
+    folder: Path, definitions: Definitions, bag: MergedBag, log: ProblemLog, make_handler: HandlerFactory
+) -> Playback:
+    return Playback(folder, log.add_error, bag=bag, definitions=definitions, make_handler=make_handler)
 
 
 def _rename_paths(result: _BagResult, revision: Revision) -> _BagResult:
@@ -279,15 +299,28 @@ def _change_to_json(bag: str, change: OutputChange) -> Dict[str, object]:
 def _print_summary(results: Sequence[_BagResult]) -> None:
     comparisons = [result.comparison for result in results if result.comparison is not None]
     counts = Counter(change.type for comparison in comparisons for change in comparison.changes)
-    equal_count = sum(comparison.equal_count for comparison in comparisons)
-    parts = [f"{format_count(equal_count, 'equal output')}"]
+    extents = Counter(comparison.extent for comparison in comparisons)
+    parts = []
+    # Without a bag that was read, the number of equal outputs is not known.
+    if extents[Extent.PART] or extents[Extent.WHOLE] or not comparisons:
+        equal_count = sum(comparison.equal_count for comparison in comparisons)
+        parts.append(f"{format_count(equal_count, 'equal output')}")
     parts += [
         f"{counts[change_type]} {change_type.value}" for change_type in ChangeType if counts[change_type]
     ]
     failed_count = len(results) - len(comparisons)
     if failed_count:
         parts.append(f"{format_count(failed_count, 'bag')} failed")
+    parts += [f"{extents[extent]} {text}" for extent, text in _EXTENT_TEXTS.items() if extents[extent]]
     print(f"{format_count(len(results), 'bag')}: {', '.join(parts)}")
+
+
+_EXTENT_TEXTS = {
+    Extent.EQUAL: "not read (the programs are equal)",
+    Extent.UNREACHED: "not read (no event for the rules that differ)",
+    Extent.PART: "run in part (the other rules cannot differ)",
+}
+"""Texts about bags over which the programs were not run, or not whole."""
 
 
 def _write_junit_report(path: Path, results: Sequence[_BagResult]) -> None:

@@ -1,4 +1,7 @@
-"""Comparison of the outputs of two versions of a program over a bag.
+"""Comparison of the outputs of two versions of a program over a bag, which is read in one pass.
+
+Rules that cannot differ are not run (`program_difference`). If outputs differ, both whole versions run again with the
+recording of lineage, for the reasons.
 
 Equal outputs are removed first. Of the others, an output with the same topic and term at a time nearby has moved, and
 one with the same topic and time, and a term of the same name, has changed. The rest is lost or gained.
@@ -7,16 +10,33 @@ one with the same topic and time, and a term of the same name, has changed. The 
 from collections import defaultdict, deque
 from enum import Enum
 from heapq import heapify, heappop, heappush
-from typing import Callable, Deque, Dict, Hashable, Iterable, Iterator, List, NamedTuple, Optional, Tuple
+from pathlib import Path
+from typing import (
+    Callable,
+    ContextManager,
+    Deque,
+    Dict,
+    Hashable,
+    Iterable,
+    Iterator,
+    List,
+    NamedTuple,
+    Optional,
+    Sequence,
+    Tuple,
+)
 
 from ..explanation.event_explanations import record_origins
 from ..explanation.output_explanations import ExplainedOutput, explain_output_briefly
 from ..foundation.errors import SyntaxFault
+from ..node.subscribed_topics import HandlerFactory
 from ..playback.bag_locations import Bag
 from ..playback.playback import Playback
+from ..playback.shared_pass import SharedRun, SharedTerms, run_together
 from ..prolog.syntax.term_reader import read_term
 from ..prolog.syntax.term_writer import canonical_text
 from ..prolog.terms.timestamps import SECOND
+from .program_difference import Extent, ProgramVersion, find_difference, reduce_to_part
 
 MOVED_WITHIN_SECONDS = 10.0
 """Greatest difference in seconds between the times of an output that has moved, unless chosen otherwise."""
@@ -79,43 +99,86 @@ class Comparison(NamedTuple):
 
     Attributes:
         changes: the differences by time.
-        equal_count: number of equal outputs.
+        equal_count: number of equal outputs of the parts that were run.
         start: start of the bag in nanoseconds since the epoch.
+        extent: what was run.
         problems: errors of the programs.
     """
 
     changes: Tuple[OutputChange, ...]
     equal_count: int
     start: int
+    extent: Extent
     problems: Tuple[str, ...] = ()
 
 
-LoadVersion = Callable[[], Playback]
-"""Loads a version of the program."""
+class Version(NamedTuple):
+    """A version of a program.
+
+    Attributes:
+        folder: its folder.
+        load: loads it, with a given conversion of messages to events.
+        enter: returns a context in which it runs, which may receive its log.
+    """
+
+    folder: Path
+    load: Callable[[HandlerFactory], Playback]
+    enter: Callable[[], ContextManager[object]]
+
+    def start(
+        self, terms: SharedTerms, prepare: Callable[[Playback], object] = lambda playback: None
+    ) -> SharedRun:
+        """Load the version, prepare it, and return its run."""
+        with self.enter():
+            playback = self.load(terms.make_handler)
+            prepare(playback)
+        return SharedRun(playback, self.enter)
 
 
 def compare_versions(
-    load_old: LoadVersion, load_new: LoadVersion, bag: Bag, moved_within: float = MOVED_WITHIN_SECONDS
+    old: Version,
+    new: Version,
+    bag: Bag,
+    moved_within: float = MOVED_WITHIN_SECONDS,
+    can_reduce: Callable[[], bool] = lambda: True,
 ) -> Comparison:
     """Run two versions of a program over a bag, and return what differs, with reasons.
 
     Args:
-        load_old: loads the old version.
-        load_new: loads the new version.
+        old: the old version.
+        new: the new version.
         bag: the bag.
         moved_within: see `find_changes`.
+        can_reduce: returns whether equal parts of the loaded versions need not be run.
     """
-    old, new = (list(_run(load(), bag)) for load in (load_old, load_new))
-    changes = find_changes(old, new, moved_within)
+    terms = SharedTerms()
+    runs = [version.start(terms) for version in (old, new)]
+    extent = Extent.WHOLE
+    if can_reduce():
+        extent = _reduce((old, new), runs, bag, terms)
+    outputs: Tuple[List[PlainOutput], List[PlainOutput]] = ([], [])
+    if extent in (Extent.PART, Extent.WHOLE):
+        for number, output in run_together(runs, bag, terms):
+            outputs[number].append(PlainOutput(int(output.time), output.topic, canonical_text(output.term)))
+    changes = find_changes(*outputs, moved_within)
     if changes:
-        changes = _explain_changes(changes, load_old, load_new, bag)
-    common_count = len(old) - sum(1 for change in changes if change.old is not None)
-    return Comparison(tuple(changes), common_count, bag.start)
+        changes = _explain_changes(changes, (old, new), bag)
+    equal_count = len(outputs[0]) - sum(1 for change in changes if change.old is not None)
+    return Comparison(tuple(changes), equal_count, bag.start, extent)
 
 
-def _run(playback: Playback, bag: Bag) -> Iterable[PlainOutput]:
-    for output in playback.run(bag):
-        yield PlainOutput(int(output.time), output.topic, canonical_text(output.term))
+def _reduce(versions: Iterable[Version], runs: Sequence[SharedRun], bag: Bag, terms: SharedTerms) -> Extent:
+    """Reduce two loaded versions to the parts that can differ."""
+    old, new = (
+        ProgramVersion(version.folder, run.playback.engine, run.playback.definitions)
+        for version, run in zip(versions, runs)
+    )
+    difference = find_difference(old, new, bag)
+    if difference.extent is Extent.PART:
+        for run, part in zip(runs, difference.parts):
+            reduce_to_part(run.playback.engine, part)
+        terms.limit_decoding(difference.event_names)
+    return difference.extent
 
 
 def find_changes(
@@ -222,16 +285,14 @@ def _select_nearest(
 
 
 def _explain_changes(
-    changes: List[OutputChange], load_old: LoadVersion, load_new: LoadVersion, bag: Bag
+    changes: List[OutputChange], versions: Iterable[Version], bag: Bag
 ) -> List[OutputChange]:
     """Run both versions again with the recording of lineage, and add the reasons to the first changes."""
-    explainers = []
-    for load in (load_old, load_new):
-        playback = load()
-        record_origins(playback.engine)
-        for _ in playback.run(bag):
-            pass
-        explainers.append(playback)
+    terms = SharedTerms()
+    runs = [version.start(terms, lambda playback: record_origins(playback.engine)) for version in versions]
+    for _ in run_together(runs, bag, terms):
+        pass
+    explainers = [run.playback for run in runs]
     # Repeated outputs are explained once.
     first_times: Dict[Tuple[ChangeType, str], int] = {}
     explained = []
