@@ -128,6 +128,22 @@ def test_steps_have_a_line_each() -> None:
     ]
 
 
+def test_groups_of_steps_are_indented() -> None:
+    steps = "low, group([a, (b where V > 1) or c], 1, many, reluctant), permute([d, e])"
+    text = f"x <- aggregate(count, v(V), _, steps([{steps}]))."
+    assert reading(text)[2:] == [
+        "  - `low`: once",
+        "  - these steps, 1 time or more, as few as possible:",
+        "    - `a`: once",
+        "    - one of these steps, the first one that fits is preferred:",
+        "      - `b`: once, where goal `V>1` has a solution",
+        "      - `c`: once",
+        "  - these steps in any order:",
+        "    - `d`: once",
+        "    - `e`: once",
+    ]
+
+
 def test_option_of_steps_has_a_line() -> None:
     text = "x <- aggregate(count, v(V), _, steps([low, high], [after_match({})]))."
     assert reading(text.format("skip_to_last(high)"))[-1] == (

@@ -95,6 +95,20 @@ def test_steps_show_options_and_stamps() -> None:
     )
 
 
+def test_groups_of_steps_are_shown() -> None:
+    steps = "[group([(a where T > 5),(b where T < 5)],1,many),permute([(c where T =:= 5),d]),(e or [f,g])]"
+    lines = explanation_lines(
+        f"o(N) <- aggregate(count, v(T), N, steps({steps})).", [("v(6)", 1), ("v(1)", 2), ("v(7)", 3)], "o(_)"
+    )
+    assert lines[0] == f"- aggregate over steps({steps}): no events took all steps"
+    assert lines[2:6] == [
+        "+ step a where T > 5: took 1 event",
+        "+ step b where T < 5: took 1 event",
+        "- step c where T =:= 5: took 0 events of 1",
+        "+ step d: took 1 event",
+    ]
+
+
 def test_incomplete_step_shows_event_count() -> None:
     lines = explanation_lines(STEPS, [("a(1,1)", 1)], "o(_)")
     assert lines[2] == "- step up(2) where T > 0: took 1 event of 2"

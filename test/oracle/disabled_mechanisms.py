@@ -20,7 +20,7 @@ from events.knowledge.test_event_states import ALARM, ExpectedStates, load_engin
 from events.network.test_stream_revision import RULES, random_events, remaining_outputs
 from events.streams.test_row_pattern import VALUE, expected_outputs, outputs_of_rule, rule_of
 
-from retalis import Clock, Engine, list_items, make_list
+from retalis import Clock, Engine, list_items
 from retalis.events.knowledge.event_states import DeclaredState
 from retalis.events.network import stream_compiler
 from retalis.events.network.network_context import NetworkContext
@@ -30,7 +30,7 @@ from retalis.events.streams import row_pattern
 from retalis.events.streams.absence_timeout import AbsenceTimeout
 from retalis.events.streams.rate_operators import RATE_OPERATORS, Debounce, DistinctUntilChanged, Throttle
 from retalis.events.streams.row_pattern import RowPatternWindow
-from retalis.events.streams.row_pattern_automaton import RowPatternNFA
+from retalis.events.streams.row_pattern_automaton import RowPatternNFA, _LazyChoices, _PositionCompiler
 from retalis.events.streams.session_window import SessionWindow
 from retalis.events.streams.stream_operators import StreamElement, StreamOutput
 from retalis.events.streams.windows import (
@@ -216,7 +216,7 @@ def steps(seed: int) -> bool:
     chance = Random(seed)
     generator = Generator(chance.choice)
     drawn = generator.steps([VALUE], are_numbers=True)
-    skip, steps = generator.skip(drawn), make_list(drawn)
+    steps, skip = generator.grouped(drawn), generator.skip(drawn)
     readings = [(chance.choice("aab"), chance.randrange(4)) for _ in range(14)]
     return bool(outputs_of_rule(rule_of(steps, skip), readings) != expected_outputs(steps, readings, skip))
 
@@ -299,9 +299,9 @@ takers = RowPatternWindow._accepting_steps
 listed, planned = RowPatternNFA._transitions, RowPatternNFA.__init__
 
 
-def never_later(plan: Any, steps: Any, marks: Any) -> None:
+def never_later(plan: Any, steps: Any, *others: Any) -> None:
     """Let no step skip rows."""
-    planned(plan, [step._replace(skips_rows=False) for step in steps], marks)
+    planned(plan, [step._replace(skips_rows=False) for step in steps], *others)
 
 
 def later_steps_first(window: Any, run: Any, item: StreamElement) -> Any:
@@ -318,6 +318,14 @@ def never_reluctant(plan: Any, position: int, may_end: bool, may_continue: bool)
         return listed(plan, position, may_end, may_continue)
     finally:
         plan.steps = steps
+
+
+def one_copy(compiler: Any, part: Any, following: Any) -> Any:
+    """Let a loop have one copy of its steps."""
+    entries: List[Any] = []
+    body = compiler._enter_parts(part, _LazyChoices(lambda: entries[0].choices()))
+    entries.append(compiler._join(body, following, part.reluctant))
+    return entries[0]
 
 
 def never_over(stream: Any, instant: int) -> List[StreamOutput]:
@@ -389,6 +397,7 @@ MECHANISMS: Dict[str, Mechanism] = {
         method(RowPatternNFA, "advance_navigations", lambda plan, marks, at, item: (item,) * len(marks)),
         steps,
     ),
+    "counts begin again in loops": Mechanism(method(_PositionCompiler, "_enter_loop", one_copy), steps),
     "aggregates of steps": Mechanism(
         method(RowPatternNFA, "advance_totals", lambda plan, totals, step, item: totals), steps
     ),

@@ -1,12 +1,13 @@
 """Windows of steps, by a search of all assignments in their order over the list of all events.
 
 A step is the term ``step(Name, Least, Most, Mode, Where, Goal, Until)``: Most is a number or ``many``, Mode is
-``greedy`` or ``reluctant``, Where ``later`` or ``next``, and the goals are lists of none or one.
+``greedy`` or ``reluctant``, Where ``later`` or ``next``, and the goals are lists of none or one. A group is the term
+``group(Parts, Least, Most, Mode)``, ``alternatives(Parts)`` or ``permutation(Parts)``.
 """
 
 from typing import Any, Callable, List, NamedTuple, Optional, Sequence, Tuple
 
-from retalis import Atom, Term, Var, atom, list_items
+from retalis import Atom, Term, Var, atom, list_items, make_list
 
 from .goals import Bindings, first, instance, value_of
 from .matches import EMPTY_RESULTS, RESULTS
@@ -34,9 +35,12 @@ class Step(NamedTuple):
 
 
 def steps_of(term: Term) -> List[Step]:
-    """Return the steps of a window."""
+    """Return the steps of a window, from left to right."""
     steps: List[Any] = []
     for step in list_items(term) or []:
+        if step[0].name != "step":  # type: ignore[index]
+            steps += steps_of(step[1])  # type: ignore[index]
+            continue
         name, least, most, mode, continuation, goal, until = step[1:]  # type: ignore[index]
         goals = [next(iter(list_items(part) or []), None) for part in (goal, until)]
         limit = None if most.__class__ is Atom else most
@@ -49,17 +53,16 @@ def steps_of(term: Term) -> List[Step]:
 PAST_LAST = "skip_past_last"
 
 
-def whole_matches(
-    steps: Sequence[Step], items: Sequence[Bindings], skip: str = PAST_LAST
-) -> List[Assignment]:
+def whole_matches(term: Term, items: Sequence[Bindings], skip: str = PAST_LAST) -> List[Assignment]:
     """Return the matches in a list of items that its end decides.
 
     The strategy after a match may end with the number of a step, as in ``skip_to_last@1``.
     """
     matches: List[Assignment] = []
+    trial = Trial(steps_of(term), items, list_items(term))
     position = 0
     while position < len(items):
-        match: Any = Trial(steps, items).begin(position)
+        match: Any = trial.begin(position)
         if match == OPEN:
             if skip != "skip_to_next":
                 return matches
@@ -72,10 +75,10 @@ def whole_matches(
     return matches
 
 
-def decided_matches(steps: Sequence[Step], items: Sequence[Bindings], skip: str = PAST_LAST) -> List[Any]:
+def decided_matches(term: Term, items: Sequence[Bindings], skip: str = PAST_LAST) -> List[Any]:
     """Return the matches that the last item decides."""
-    earlier = whole_matches(steps, items[:-1], skip)
-    return [match for match in whole_matches(steps, items, skip) if match not in earlier]
+    earlier = whole_matches(term, items[:-1], skip)
+    return [match for match in whole_matches(term, items, skip) if match not in earlier]
 
 
 def _next_position(match: Assignment, skip: str) -> int:
@@ -91,58 +94,89 @@ def _next_position(match: Assignment, skip: str) -> int:
 
 
 class Trial:
-    """Search for a match that begins at an item."""
+    """Search for a match that begins at an item.
 
-    def __init__(self, steps: Sequence[Step], items: Sequence[Bindings]) -> None:
+    The rest of a pattern is a tuple of parts. A part is a term of the pattern, or the tuple of a step, or of a group
+    with a term, and the number of its items, or repetitions, so far.
+    """
+
+    def __init__(self, steps: Sequence[Step], items: Sequence[Bindings], parts: Any):
         self.steps = steps
         self.items = items
+        self.numbers = {step.name: number for number, step in enumerate(steps)}
+        self.parts = tuple(parts)
 
     def begin(self, position: int) -> Any:
         """Return the first match in order, None if there is none, `OPEN` if later events decide."""
-        return self._try(self._before(0), position, ())
+        return self._try(self._choices(self.parts), position, ())
 
-    def _before(self, step: int) -> List[Any]:
-        """Steps that may precede a step without events; None is the end."""
-        if step == len(self.steps):
+    def _choices(self, rest: Tuple[Any, ...]) -> List[Any]:
+        """Return the steps that may match the next item, each with the rest after it; None is the end."""
+        if not rest:
             return [None]
-        return self._order(step, self.steps[step].least == 0, True)
-
-    def _order(self, step: int, may_end: bool, may_continue: bool) -> List[Any]:
-        """At each Q, the step continues or a following step begins; reluctant steps prefer the latter."""
-        same, following = [step] if may_continue else [], self._before(step + 1) if may_end else []
-        return following + same if self.steps[step].reluctant else same + following
-
-    def _after(self, assigned: Assignment) -> List[Any]:
-        step = assigned[-1][1]
-        count = sum(other == step for _, other in assigned)
-        most = self.steps[step].most
-        return self._order(step, count >= self.steps[step].least, most is None or count < most)
+        part, *others = rest
+        if part[0].__class__ is int:
+            number, taken = part
+            step = self.steps[number]
+            same = (
+                [(number, ((number, taken + 1), *others))] if step.most is None or taken < step.most else []
+            )
+            following = self._choices(tuple(others)) if taken >= step.least else []
+            return following + same if step.reluctant else same + following
+        if part[0] == "group":
+            _, group, taken = part
+            least, most, mode = group[2:]
+            again: List[Any] = []
+            if most.__class__ is Atom or taken < most:
+                inside = (*(list_items(group[1]) or ()), ("group", group, taken + 1), *others)
+                again = self._choices(inside)
+            following = self._choices(tuple(others)) if taken >= least else []
+            return following + again if mode.name == "reluctant" else again + following
+        kind = part[0].name
+        if kind == "step":
+            return self._choices(((self.numbers[part[1].name], 0), *others))
+        if kind == "group":
+            return self._choices((("group", part, 0), *others))
+        inner = list_items(part[1]) or []
+        if kind == "alternatives":
+            return [choice for one in inner for choice in self._choices((one, *others))]
+        # In any order: one of the parts, then the others in any order.
+        if not inner:
+            return self._choices(tuple(others))
+        return [
+            choice
+            for place, one in enumerate(inner)
+            for choice in self._choices(
+                (one, (part[0], make_list(inner[:place] + inner[place + 1 :])), *others)
+            )
+        ]
 
     def _try(self, choices: List[Any], position: int, assigned: Assignment) -> Any:
         if None in choices:
             end = choices.index(None)
-            match = self._try_steps(choices[:end], position, assigned, choices[end + 1 :]) if end else None
+            unused = [choice for choice in choices[end + 1 :] if choice is not None]
+            match = self._try_steps(choices[:end], position, assigned, unused) if end else None
             return assigned if match is None else match
         return self._try_steps(choices, position, assigned, [])
 
-    def _try_steps(self, choices: List[int], position: int, assigned: Assignment, unused: List[int]) -> Any:
+    def _try_steps(self, choices: List[Any], position: int, assigned: Assignment, unused: List[Any]) -> Any:
         """Try some steps. Items that fit an unused step, which follows the end, are not skipped."""
         if not choices:
             return None
         if position == len(self.items):
             return OPEN
-        open_steps = [step for step in choices if not self._is_over(step, position, assigned)]
-        fitting = [step for step in open_steps if self._fits(step, position, assigned)]
-        for step in fitting:
-            longer = (*assigned, (position, step))
-            match = self._try(self._after(longer), position + 1, longer)
+        open_choices = [choice for choice in choices if not self._is_over(choice[0], position, assigned)]
+        fitting = [choice for choice in open_choices if self._fits(choice[0], position, assigned)]
+        for step, rest in fitting:
+            match = self._try(self._choices(rest), position + 1, (*assigned, (position, step)))
             if match is not None:
                 return match
-        waiting = [step for step in unused if not self._is_over(step, position, assigned)]
-        if fitting or not assigned or any(self._fits(step, position, assigned) for step in waiting):
+        waiting = [choice for choice in unused if not self._is_over(choice[0], position, assigned)]
+        if fitting or not assigned or any(self._fits(choice[0], position, assigned) for choice in waiting):
             return None
         later, unused = [
-            [step for step in candidates if self.steps[step].later] for candidates in (open_steps, waiting)
+            [choice for choice in candidates if self.steps[choice[0]].later]
+            for candidates in (open_choices, waiting)
         ]
         return self._try_steps(later, position + 1, assigned, unused)
 

@@ -201,7 +201,23 @@ def _kinds(node: Windowed, names: Names) -> Iterator[str]:
 
 def _steps(node: Windowed, names: Names) -> str:
     """Write the steps of a window."""
-    texts: List[Any] = []
+
+    def write_parts(parts: Any) -> str:
+        return ",".join(map(write_part, list_items(parts) or []))
+
+    def write_part(part: Any) -> str:
+        kind = part[0].name
+        if kind == "step":
+            return texts[part[1].name]
+        if kind == "alternatives":
+            return " or ".join(f"({write_part(inner)})" for inner in list_items(part[1]) or [])
+        if kind == "permutation":
+            return f"permute([{write_parts(part[1])}])"
+        mode = ",reluctant" if part[4].name == "reluctant" else ""
+        limit = part[3] if part[3].__class__ is int else "many"
+        return f"group([{write_parts(part[1])}],{part[2]},{limit}{mode})"
+
+    texts: Dict[str, str] = {}
     for step in steps_of(node.steps):
         limit = "many" if step.most is None else step.most
         option = ",reluctant" if step.reluctant else ""
@@ -210,12 +226,12 @@ def _steps(node: Windowed, names: Names) -> str:
         text = f"{step.name}({step.least},{limit}{option})"
         if step.goal is not None:
             text += f" where ({write_term(step.goal, names)})"
-        texts.append(f"later({text})" if step.later else text)
+        texts[step.name] = f"later({text})" if step.later else text
     strategy, _, number = node.skip.partition("@")
     if number:
         strategy = f"{strategy}({steps_of(node.steps)[int(number)].name})"
     options = "" if strategy == "skip_past_last" else f",[after_match({strategy})]"
-    return f"steps([{','.join(texts)}]{options})"
+    return f"steps([{write_parts(node.steps)}]{options})"
 
 
 def write_pattern(node: Pattern, names: Names) -> str:  # noqa: C901 - a case for each kind of pattern

@@ -381,6 +381,33 @@ class Generator:
                 break
         return steps
 
+    def grouped(self, steps: List[Any]) -> Term:
+        """Return steps as a list, possibly with a group that the language accepts."""
+        first = self.choice(range(len(steps)))
+        last = self.choice(range(first, len(steps)))
+        inside = steps[first : last + 1]
+        # Steps that may be empty, or that later items may continue, need a step after the group that ends the match.
+        is_ended = last < len(steps) - 1 and steps[-1][2] == steps[-1][3]
+        is_simple = all(step[5].name == "next" and step[2] for step in inside)
+        if not self.chance(60) or not (is_ended or (is_simple and all(step[2] for step in steps))):
+            return make_list(steps)
+        kinds = ["group", "group", "choice", "alternatives", "permutation"]
+        kind = self.choice(kinds if all(step[2] for step in inside) else ["group", "choice", "alternatives"])
+        parts = make_list(inside)
+        if kind in ("alternatives", "permutation"):
+            group = functor(kind, 1)(parts)
+        else:
+            least, more = self.choice([0, 1, 1, 2]), self.choice([0, 1, 2, "many"])
+            has_conditions = any(step[6] is not NIL or step[7] is not NIL for step in inside)
+            is_endless = more == "many" and is_simple
+            most: Any = atom("many") if is_endless else max(least + (0 if more == "many" else more), 1)
+            mode = "reluctant" if is_endless and not has_conditions else self.choice(["greedy", "reluctant"])
+            least = max(least, 0 if is_ended else 1)
+            if kind == "choice":
+                parts = make_list([functor("alternatives", 1)(parts)])
+            group = functor("group", 4)(parts, least, most, atom(mode))
+        return make_list([*steps[:first], group, *steps[last + 1 :]])
+
     def skip(self, steps: List[Any]) -> str:
         """Draw where the next match begins."""
         strategy = self.choice(

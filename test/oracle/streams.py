@@ -13,7 +13,7 @@ from retalis.prolog.terms.term_traversal import variables
 from .goals import Bindings, GoalError, instance, number, show, unbound, unify
 from .matches import EMPTY_RESULTS, NUMERIC, RESULTS, Event, Match
 from .patterns import Aggregate, Awaited, Both, Pattern, Preceded, Shaped, Star, Windowed, children
-from .row_pattern_matches import decided_matches, steps_of
+from .row_pattern_matches import decided_matches
 from .rule_conditions import may_bind
 from .rule_runs import IdentifyingRepetitions
 
@@ -353,9 +353,9 @@ class Streams(IdentifyingRepetitions):
         """Matches of the steps that an element decides; they end at its end at the earliest."""
         elements.append(element)
         same = [other for other in elements if other.key == element.key]
-        steps, items = steps_of(node.steps), [other.match.bindings for other in same]
+        items = [other.match.bindings for other in same]
         results: List[Any] = []
-        for match in decided_matches(steps, items, node.skip):
+        for match in decided_matches(node.steps, items, node.skip):
             inside = [same[place] for place, _ in match]
             interval = (
                 min(other.match.start for other in inside),

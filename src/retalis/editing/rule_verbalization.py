@@ -11,9 +11,10 @@ import re
 from functools import lru_cache, partial
 from itertools import islice
 from math import isfinite
-from typing import Any, Dict, Iterable, Iterator, List, Mapping, NamedTuple, Optional, Tuple, cast
+from typing import Any, Dict, Iterable, Iterator, List, Mapping, NamedTuple, Optional, Sequence, Tuple, cast
 
 from ..events.language.event_operators import ARROWS, EVENT_OPERATORS, OPERATOR_NAMES
+from ..events.language.row_pattern_parser import SKIP_STRATEGIES
 from ..events.language.rule_heads import HEAD_READINGS
 from ..events.language.rule_labels import (
     PROPERTY_READINGS,
@@ -23,7 +24,7 @@ from ..events.language.rule_labels import (
     split_label,
 )
 from ..events.language.state_parser import StateForm, declares_state, parse_state_declaration
-from ..events.language.stream_parser import SKIP_STRATEGIES, regroup_rate_operator
+from ..events.language.stream_parser import regroup_rate_operator
 from ..events.program.topic_configuration import GOALS, TOPICS, read_text
 from ..events.streams.aggregates import AGGREGATES
 from ..foundation.errors import UsageError, format_count, format_duration, shorten
@@ -302,8 +303,8 @@ class _ReadingWriter:
         if has_result:
             words = self._describe_result(words, operands, texts)
         yield f"{indent}- {self._fill(words, operands, texts)}"
-        for step in list_items(operands["S"]) or () if "S" in operands else ():
-            yield f"{indent}  - {self._describe_step(deref(step))}"
+        if "S" in operands:
+            yield from self._describe_parts(list_items(operands["S"]) or (), level + 1)
         for option in list_items(operands["O"]) or () if "O" in operands else ():
             yield f"{indent}  - {self._describe_step_option(deref(option))}"
         for name, operand in nested.items():
@@ -340,6 +341,27 @@ class _ReadingWriter:
             return self.quote(kind)
         return self._fill(match[0].words, {"Q": operands["Q"], **match[1]}, texts)
 
+    def _describe_parts(self, parts: Sequence[Term], level: int) -> Iterator[str]:
+        """Yield the lines about the steps of a row pattern and their groups."""
+        indent = "  " * level
+        for part in map(deref, parts):
+            name = functor_name(part)
+            inner_parts, words = list_items(part), "these steps"
+            if part.__class__ is tuple and name == "or" and len(part) == 3:
+                inner_parts, words = (
+                    list(part[1:]),
+                    "one of these steps, the first one that fits is preferred",
+                )
+            elif part.__class__ is tuple and name == "permute" and len(part) == 2:
+                inner_parts, words = list_items(part[1]), "these steps in any order"
+            elif part.__class__ is tuple and name == "group" and list_items(part[1]) is not None:
+                inner_parts, words = list_items(part[1]), f"these steps, {self._describe_counts(part[2:])}"
+            if inner_parts is None or level > _MAX_NESTED_PATTERNS:
+                yield f"{indent}- {self._describe_step(part)}"
+                continue
+            yield f"{indent}- {words}:"
+            yield from self._describe_parts(inner_parts, level + 1)
+
     def _describe_step_option(self, option: Any) -> str:
         """Return a line about an option of a row pattern."""
         strategy: Any = deref(option[1]) if option.__class__ is tuple else option
@@ -359,7 +381,12 @@ class _ReadingWriter:
             elif len(step) == 2:
                 begin = "after any others, "
             step = deref(step[1])
-        arguments: List[Any] = [deref(argument) for argument in step[1:]] if step.__class__ is tuple else []
+        times = self._describe_counts(step[1:] if step.__class__ is tuple else ())
+        return f"`{functor_name(step)}`: {begin}{', '.join([times, *texts])}"
+
+    def _describe_counts(self, terms: Sequence[Term]) -> str:
+        """Return how often a step or a group matches, given its arguments."""
+        arguments: List[Any] = [deref(argument) for argument in terms]
         counts = [argument for argument in arguments if argument.__class__ is int]
         names = [argument.name for argument in arguments if argument.__class__ is Atom]
         times = format_count(counts[0], "time") if counts else "once"
@@ -372,7 +399,7 @@ class _ReadingWriter:
         for argument in arguments:
             if argument.__class__ is tuple and functor_name(argument) == "until":
                 times += f", until goal {self.quote(argument[1])} has a solution"
-        return f"`{functor_name(step)}`: {begin}{', '.join([times, *texts])}"
+        return times
 
 
 def _read_file(path: str) -> Iterator[RuleReading]:

@@ -43,11 +43,11 @@ from ..events.language.pattern_tree import (
     WindowPattern,
     WithinPattern,
 )
+from ..events.language.row_pattern_parser import step_term
 from ..events.language.stream_parser import (
     NOT_PRECEDED,
     positive_nanoseconds,
     rate_operator_term,
-    step_term,
     timeout_term,
     window_term,
 )
@@ -428,15 +428,25 @@ class WhyNot:
         # Without any result, the steps show how far the best candidate sequence got.
         if pattern.window.kind == "steps" and not results:
             reason = "no events took all steps"
-            parts += self._evaluate_steps(pattern.window.steps, window.progress)
+            parts += self._evaluate_steps(
+                pattern.window.steps, window.progress, pattern.window.structure is None
+            )
         matches = matches[-MAX_CANDIDATES:]
         shown_results = self._format_result(
             matches, f"{reason}{window.problem}", (_VALUES_FUNCTOR, *pattern.results)
         )
         return PartResult(f"{text}: {shown_results}", matches, parts)
 
-    def _evaluate_steps(self, steps: Sequence[RowPatternStep], progress: Sequence[int]) -> List[PartResult]:
-        """Return the results for the steps of a row pattern, for the sequence of events that got farthest."""
+    def _evaluate_steps(
+        self, steps: Sequence[RowPatternStep], progress: Sequence[int], is_sequence: bool
+    ) -> List[PartResult]:
+        """Return the results for the steps of a row pattern, for the sequence of events that got farthest.
+
+        Args:
+            steps: the steps.
+            progress: number of events of each step.
+            is_sequence: whether each step is reached after the one before it.
+        """
         parts = []
         is_reached = True
         for step, count in zip(steps, progress):
@@ -452,7 +462,7 @@ class WhyNot:
                         f"{text}: took {events}{missing}", [_PLACEHOLDER_MATCH] if is_complete else [], []
                     )
                 )
-            is_reached = is_reached and is_complete
+            is_reached = is_reached and (is_complete or not is_sequence)
         return parts
 
     def _evaluate_rate_operator(self, pattern: RatePattern) -> PartResult:

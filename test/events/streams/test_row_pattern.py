@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import settings as example_settings
 from hypothesis import strategies as st
 from oracle.patterns import Leaf, Rule, Windowed
-from oracle.row_pattern_matches import PAST_LAST, STAMPS, decided_matches, steps_of
+from oracle.row_pattern_matches import PAST_LAST, STAMPS, decided_matches
 from oracle.rule_notation import write_rule
 from oracle.strategies import Generator
 from recording_reports import RecordingReports
@@ -41,7 +41,7 @@ def expected_outputs(steps: Any, readings: Any, skip: str = PAST_LAST) -> Any:
             for position, (other, value) in enumerate(readings[:end])
             if other == key
         ]
-        for match in decided_matches(steps_of(steps), items, skip):
+        for match in decided_matches(steps, items, skip):
             columns = [
                 ",".join(str(items[position][var]) for position, _ in match) for var in (VALUE, STAMPS["t1"])
             ]
@@ -73,7 +73,7 @@ def draw_steps(seed: int) -> Tuple[Any, str]:
     """Return steps, and where the next match begins, as the oracle draws them."""
     generator = Generator(Random(seed).choice)
     steps = generator.steps([VALUE], are_numbers=True)
-    return make_list(steps), generator.skip(steps)
+    return generator.grouped(steps), generator.skip(steps)
 
 
 STEPS = st.integers(0, 10**6).map(draw_steps)

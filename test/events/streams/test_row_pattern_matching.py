@@ -304,3 +304,61 @@ STAMPED = "s(D) <- aggregate([{}], e(X), [S, E], steps([{}])) where D is E - S."
 def test_steps_use_stamps_of_events(kinds: str, steps: str, expected: str) -> None:
     stream = "e(1)@0-1 e(2)@1-2 e(9)@4-5 e(8)@6-6 e(7)@7-8"
     assert outputs_of(STAMPED.format(kinds, steps), stream) == expected
+
+
+@pytest.mark.parametrize(
+    ("steps", "expected"),
+    [
+        ("group([a where X < 5, b where X > prev(X)], 2)", "s([1,2,3,4])@0-3"),
+        ("group([a where X < 5, b where X > 1], 1, many)", "s([1,2,3,4])@0-4 s([1,2])@6-9"),
+        (
+            "group([a where X < 5, b where X > 1], 1, many, reluctant)",
+            "s([1,2])@0-1 s([3,4])@2-3 s([1,2])@6-7",
+        ),
+        # the count of a step begins again in each repetition
+        ("group([a(1, 2) where X < 5], 2, 3), b where X > 8", "s([1,2,3,4,9])@0-4"),
+        ("(a where X > 8) or (b where X > 3), c", "s([4,9])@3-4 s([9,1])@5-6"),
+        ("[a where X =:= 1, b] or c(3), d where X =:= 4", "s([1,2,3,4])@0-3"),
+        ("permute([a where X > 8, b(2) where X < 5])", "s([3,4,9])@2-4 s([9,1,2])@5-7"),
+        ("permute([a, b where X > prev(X), c where X > 8])", "s([3,4,9])@2-4 s([9,1,2])@5-7"),
+        (
+            "group([a where X < 4], 0, 1), b where (X > first(a, X), X < 4)",
+            "s([1,2])@0-1 s([3])@2-3 s([1,2])@6-7 s([0])@8-9",
+        ),
+        ("a where X < 4, group([later(b where X > 8), later(c where X < 3)], 1)", "s([1,9,1])@0-6"),
+        ("a, (b where X > 8) or [c where X > 3, d(2) where X > 8]", "s([3,4,9,9])@2-5"),
+    ],
+)
+def test_groups_of_steps_match_stream(steps: str, expected: str) -> None:
+    stream = " ".join(f"e({x})@{second}" for second, x in enumerate([1, 2, 3, 4, 9, 9, 1, 2, 0, 0]))
+    assert outputs_of(STARS.format(steps), stream) == expected
+
+
+@pytest.mark.parametrize(
+    ("steps", "message"),
+    [
+        ("group([], 2)", "a group of steps needs a list of steps"),
+        ("group([a], 2, 1)", "a group is .* where N is not larger than M"),
+        ("group([a], 1, many)", "nothing ends the group"),
+        ("group([a(0, 1) where X > 1], 1, many)", "needs a step with a minimum above 0"),
+        ("group([a], 1, until(X > 1))", "until belongs to a step, not to a group"),
+        ("group([a], 0, 1)", "at least one step must have a minimum above 0"),
+        ("a, group([later(b)], 0, 1)", "nothing ends the step b"),
+        ("permute([a, b(0, 1)])", "each step of permute needs a minimum above 0"),
+        ("group([a, permute([b, c, d, e, f])], 20)", "which have at most 1000 places"),
+        ("(a or b), a", "two steps are called a"),
+    ],
+)
+def test_invalid_group_is_refused(steps: str, message: str) -> None:
+    with pytest.raises(ProgramErrors, match=message):
+        ProgramRunner(STARS.format(steps))
+
+
+def test_deeply_nested_groups_are_refused() -> None:
+    with pytest.raises(ProgramErrors, match="groups of steps are nested too deeply"):
+        ProgramRunner(STARS.format("[" * 1000 + "a" + "]" * 1000))
+
+
+def test_skip_to_step_of_repeated_group_is_accepted() -> None:
+    rule = OVERLAPS.format("group([a where X < 5], 2)", "skip_to_last(a)")
+    assert outputs_of(rule, "e(1)@0 e(2)@1 e(3)@2") == "s([1,2])@0-1 s([2,3])@1-2"

@@ -63,9 +63,9 @@ from .pattern_tree import (
     occurrences,
     substitute_variables,
 )
+from .row_pattern_parser import insert_stamps
 from .stream_parser import (
     NOT_PRECEDED,
-    insert_stamps,
     is_computed_timeout,
     is_event,
     parse_measure,

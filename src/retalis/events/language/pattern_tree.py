@@ -12,7 +12,7 @@ from typing import Any, Dict, FrozenSet, Hashable, List, Mapping, NamedTuple, Op
 from ...foundation.errors import Place
 from ...prolog.terms.term_traversal import rebuild, variables, variant_key
 from ...prolog.terms.types import Functor, Term, Var, functor
-from ..streams.row_pattern_automaton import RowPatternSkip
+from ..streams.row_pattern_automaton import RowPatternSkip, StepGroup
 
 Pattern = Union[
     "EventPattern",
@@ -193,6 +193,7 @@ class WindowSpec(NamedTuple):
         max_length: for ``session``, maximum length of a window in ns; None for no maximum.
         running: whether each match emits a result, not only the end of a window.
         steps: the steps of a row pattern.
+        structure: their order; None if they follow each other.
         navigated_vars: the variables of the pattern that conditions of steps use.
         skip: where the next match of a row pattern begins; None if that is not stated.
     """
@@ -207,6 +208,7 @@ class WindowSpec(NamedTuple):
     steps: Tuple[RowPatternStep, ...] = ()
     navigated_vars: Tuple[Var, ...] = ()
     skip: Optional[RowPatternSkip] = None
+    structure: Optional[StepGroup] = None
 
     @property
     def max_duration(self) -> Optional[int]:
@@ -460,7 +462,12 @@ def _distinguishing_name_and_numbers(node: Pattern) -> Tuple[str, Tuple[int, ...
         settings = " ".join(map(repr, node.settings))
         name = f"{node.window.kind} {' '.join(node.kinds)} {settings}"
         # Only the plain fields of steps: their conditions are terms, and compared as such.
-        plain_parts = (*(step[:5] for step in node.window.steps), *node.scopes, node.window.skip)
+        plain_parts = (
+            *(step[:5] for step in node.window.steps),
+            *node.scopes,
+            node.window.skip,
+            node.window.structure,
+        )
         name += "".join(map(repr, plain_parts))
         window = node.window
         lengths = window.span, window.step, window.max_count, window.gap, window.max_length or 0

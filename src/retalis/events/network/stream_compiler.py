@@ -54,16 +54,15 @@ from ..language.pattern_tree import (
     always_bound_by,
     bound_by,
 )
-from ..language.stream_parser import (
-    NOT_PRECEDED,
+from ..language.row_pattern_parser import (
     ROW_END,
     ROW_START,
     RowNavigation,
     insert_stamps,
-    positive_nanoseconds,
     split_condition,
     uses_stamps,
 )
+from ..language.stream_parser import NOT_PRECEDED, positive_nanoseconds
 from ..matches.expiration import UNLIMITED, Retention
 from ..matches.match_buffer import key_function
 from ..matches.match_types import PartialMatch, unify_sides
@@ -172,7 +171,7 @@ def compile_row_pattern(
         )
 
     steps = [compile_step(position, step_form) for position, step_form in enumerate(window.steps)]
-    return RowPatternNFA(steps, list(navigation_numbers), list(aggregate_numbers))
+    return RowPatternNFA(steps, list(navigation_numbers), list(aggregate_numbers), window.structure)
 
 
 def _find_max_distance(window: WindowSpec, step_names: Sequence[str], own_vars: Container[Var]) -> int:

@@ -105,9 +105,9 @@ class ComputationState:
     """Computation state: one assignment of the elements so far to steps.
 
     Attributes:
-        step: step of the last element.
+        step: position of the step of the last element.
         count: number of elements of that step, capped by `RowPatternNFA.capped_count`.
-        remaining_steps: after a skipped element, the steps that can still accept one; otherwise None.
+        remaining_steps: after a skipped element, the positions that can still accept one; otherwise None.
         targets: elements of the navigations.
         totals: states of the aggregates.
         matched: elements of the match.
@@ -334,7 +334,7 @@ class RowPatternWindow(StreamOperator):
         self.skip = skip
         self._overlaps = skip.strategy != SKIP_PAST_LAST
         self._checks: List[_ValueCheck] = []
-        self._checks_of: List[List[_ValueCheck]] = [[] for _ in nfa.steps]
+        self._checks_of: List[List[_ValueCheck]] = [[] for _ in nfa.variables]
         for measure, scope in zip(make_accumulators(), scopes):
             if measure.checks_values:
                 (self._checks if scope is None else self._checks_of[scope]).append(measure.check)
@@ -555,19 +555,20 @@ class RowPatternWindow(StreamOperator):
         self, state: ComputationState, step: int, element: StreamElement, successors: _Successors
     ) -> bool:
         """Add the state after a step has accepted an element; return whether less preferred states are obsolete."""
-        for check in self._checks_of[step]:
-            check(element)
         nfa = self.nfa
+        number = nfa.step_numbers[step]
+        for check in self._checks_of[number]:
+            check(element)
         count = nfa.capped_count(step, state.count + 1 if state.step == step else 1)
-        matched = _MatchedElements(element, step, state.matched)
+        matched = _MatchedElements(element, number, state.matched)
         start_order, start_time = (
             (element.order, element.start) if state.matched is None else (state.start_order, state.start_time)
         )
         next_steps, may_end, steps_after_skip, _ = nfa.transitions_after(step, count)
         # `steps_after_skip` is set if all steps skip elements: the state then equals the one after a skip.
         if next_steps:
-            targets = nfa.advance_navigations(state.targets, step, element)
-            totals = nfa.advance_totals(state.totals, step, element) if nfa.aggregates else ()
+            targets = nfa.advance_navigations(state.targets, number, element)
+            totals = nfa.advance_totals(state.totals, number, element) if nfa.aggregates else ()
             is_present = self._add(
                 ComputationState(
                     step,
@@ -669,13 +670,13 @@ class RowPatternWindow(StreamOperator):
 
     def partitions_type(self) -> FieldType[List[StoredPartition]]:
         """Return the type of `partitions`, which depends on the number of steps."""
-        step = integer(0, len(self.nfa.steps) - 1)
-        assignments = sequence_of(tuple_of(COUNT, step), tuple)
+        position = integer(0, len(self.nfa.steps) - 1)
+        assignments = sequence_of(tuple_of(COUNT, integer(0, len(self.nfa.variables) - 1)), tuple)
         states = rows_of(
             StoredState,
             step=integer(SCANNING, len(self.nfa.steps) - 1),
             element_count=COUNT,
-            remaining_steps=optional(sequence_of(step, tuple, min_count=1)),
+            remaining_steps=optional(sequence_of(position, tuple, min_count=1)),
             targets=sequence_of(optional(COUNT), tuple),
             assignments=assignments,
         )
