@@ -61,7 +61,7 @@ class Reference:
         self.buffer.set_transform(message, "test")
 
     def pose(self, target: Any, source: Any, instant: Any) -> Optional[Tuple[Any, ...]]:
-        """Return translation and rotation from source to target at an instant (ns); None if tf2 has no data."""
+        """Return translation and rotation from source to target at an instant (ns); None outside of the data."""
         try:
             result = self.buffer.lookup_transform_core(target, source, genpy.Time(*divmod(instant, 10**9)))
         except tf2_py.ExtrapolationException:
@@ -93,11 +93,13 @@ def distance(left: Any, right: Any) -> float:
 
 
 def angle(left: Any, right: Any) -> float:
-    """Return the angle between two rotations in radians."""
-    dot = abs(sum(a * b for a, b in zip(left, right)))
-    norm = math.sqrt(sum(a * a for a in left) * sum(b * b for b in right))
-    cross = min(1.0, dot / norm)
-    # Near 1 the arc cosine is inexact; the chord is not.
-    sign = 1 if sum(a * b for a, b in zip(left, right)) > 0 else -1
-    chord = math.sqrt(sum((a - sign * b) ** 2 for a, b in zip(left, right)))
-    return 2 * math.acos(cross) if cross < 0.99 else 4 * math.asin(min(1.0, chord / 2))
+    """Return the angle between two rotations in radians; their quaternions may have any length and sign."""
+    left, right = _normalized(left), _normalized(right)
+    # The chord between the unit quaternions q and p has the length 2 sin(angle / 4); q and -q are one rotation.
+    chord = min(math.dist(left, right), math.dist(left, [-component for component in right]))
+    return 4 * math.asin(min(1.0, chord / 2))
+
+
+def _normalized(quaternion: Any) -> List[float]:
+    length = math.hypot(*quaternion)
+    return [component / length for component in quaternion]

@@ -317,6 +317,7 @@ def test_output_of_cleanup_ends_its_line(ask: Any) -> None:
 
 
 def test_unknown_procedure_is_named_once(ask: Any) -> None:
+    assert ask("no_such(1).").err.count("no_such") == 1
     assert "error: Unknown procedure: no_such/1\n" in ask("no_such(1).").err
 
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from retalis.editing.completion_context import find_context
+from retalis.editing.completion_context import find_context, find_xml_context
 from retalis.editing.symbol_uses import SymbolKind
 
 
@@ -67,3 +67,24 @@ def test_line_of_goal_file_begins_goal() -> None:
     context = find_context(text, len(text), True)
     assert context is not None
     assert context.symbol_kind is SymbolKind.MEMORY
+
+
+def test_goal_continues_on_next_line() -> None:
+    text = "memorize(a(_), [], _, m, 3).\nsubscribe(fever(W), [],\n  f(W, X),\n  "
+    context = find_context(text, len(text), True)
+    assert context is not None
+    assert (context.symbol_kind, context.variables) == (SymbolKind.TOPIC, ("W", "X"))
+
+
+def test_comma_outside_of_message_begins_no_slot() -> None:
+    for text, is_slot_name in {"foo(a, ": False, "p__0__T{a: 1, ": True, "p__0__T{a: f(1, ": False}.items():
+        context = find_context(text, len(text), False)
+        assert context is not None
+        assert context.is_slot_name is is_slot_name
+
+
+def test_element_in_comment_is_no_root() -> None:
+    text = "<?xml version='1.0'?>\n<!-- <subscribe_to name='x'/> -->\n<"
+    context = find_xml_context(text, len(text))
+    assert context is not None
+    assert not context.has_root

@@ -283,3 +283,13 @@ def test_error_in_goal_has_place() -> None:
     with pytest.raises(ProgramErrors) as caught:
         format_goals("a(1)\nb(\n", "goals")
     assert [error.place.line for error in caught.value.errors if error.place] == [2]
+
+
+def test_spaces_after_end_of_file_remain() -> None:
+    text = "a.\nend_of_file.\nfoo  \n  bar\n"
+    assert format_rules(text, "rules") == text
+
+
+def test_goals_with_declared_operators_are_formatted() -> None:
+    text = "op(700, xfx, ===>)\nassertz(f(a===>b,c)).\n"
+    assert format_goals(text, "goals") == "op(700, xfx, ===>)\nassertz(f(a ===> b, c)).\n"

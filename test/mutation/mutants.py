@@ -6,7 +6,8 @@ aliases and module constants are left alone: a change there alters nothing, or o
 
 import ast
 import re
-from typing import Any, List, NamedTuple
+from bisect import bisect_right
+from typing import Any, List, NamedTuple, Optional, Tuple
 
 COMPARISONS = {
     ast.Lt: ("<", "<="),
@@ -57,13 +58,13 @@ def mutants(source: str) -> "list[Mutant]":
     """Return all mutants of a module's source, in the order of their places."""
     finder = _Finder(source)
     finder.visit(ast.parse(source))
-    valid = [mutant for mutant in finder.mutants if _compiles(mutant.apply(source))]
-    return sorted(valid, key=lambda mutant: (mutant.start, mutant.end, mutant.text))
+    return sorted(finder.mutants, key=lambda mutant: (mutant.start, mutant.end, mutant.text))
 
 
-def _compiles(source: str) -> bool:
+def _compiles(function: str) -> bool:
+    """Return whether the text of a function compiles, with the indentation that it has."""
     try:
-        ast.parse(source)
+        ast.parse(f"if 1:\n{function}" if function[:1].isspace() else function)
     except SyntaxError:
         return False
     return True
@@ -71,12 +72,13 @@ def _compiles(source: str) -> bool:
 
 class _Finder(ast.NodeVisitor):
     def __init__(self, source: str) -> None:
-        self.mutants: List[Any] = []
+        self.mutants: List[Mutant] = []
         self._data = source.encode()
         self._lines = [0]
         for line in self._data.splitlines(keepends=True):
             self._lines.append(self._lines[-1] + len(line))
-        self._in_function = False
+        # Start and end of the innermost function, with its indentation.
+        self._function: Optional[Tuple[int, int]] = None
 
     def _start(self, node: Any) -> Any:
         return self._lines[node.lineno - 1] + node.col_offset
@@ -88,9 +90,12 @@ class _Finder(ast.NodeVisitor):
         return self._data[self._start(node) : self._end(node)].decode()
 
     def _add(self, start: Any, end: Any, text: str, operator: str) -> None:
-        if self._in_function:
-            line = self._data.count(b"\n", 0, start) + 1
-            self.mutants.append(Mutant(line, start, end, text, operator))
+        if self._function is None:
+            return
+        first, last = self._function
+        # The rest of the module is unchanged.
+        if _compiles((self._data[first:start] + text.encode() + self._data[end:last]).decode()):
+            self.mutants.append(Mutant(bisect_right(self._lines, start), start, end, text, operator))
 
     def _between(self, left: Any, right: Any, pattern: str, text: Any, operator: str) -> None:
         """Replace an operator that stands between two operands, beside parentheses and comments."""
@@ -104,13 +109,17 @@ class _Finder(ast.NodeVisitor):
     # Scopes and places without behaviour
 
     def visit_FunctionDef(self, node: Any) -> None:
-        outer, self._in_function = self._in_function, True
+        first_line = min(part.lineno for part in (node, *node.decorator_list))
+        outer, self._function = self._function, (self._lines[first_line - 1], self._end(node))
         body = node.body
         if isinstance(body[0], ast.Expr) and isinstance(body[0].value, ast.Constant):
             body = body[1:]  # the docstring
         for statement in body:
             self.visit(statement)
-        self._in_function = outer
+        self._function = outer
+
+    def visit_AsyncFunctionDef(self, node: Any) -> None:
+        self.visit_FunctionDef(node)
 
     def visit_AnnAssign(self, node: Any) -> None:
         if node.value is not None:

@@ -10,6 +10,7 @@ from retalis.foundation.errors import UsageError
 from retalis.testing.case_definition import CountRange, Tolerance
 from retalis.testing.case_file import (
     find_program_folder,
+    is_foreign_file,
     list_case_files,
     make_json_schema,
     parse_case_file,
@@ -246,3 +247,29 @@ def test_word_in_place_of_expectations_is_no_golden_file() -> None:
 def test_folded_rules_and_merge_keys_are_errors() -> None:
     assert "write | in place of >" in parse_error("rules: >\n  a <- b.\ncases: [{name: x, expect: {}}]")
     assert "merge keys (<<) are not supported" in parse_error("cases:\n  - <<: {name: x}\n    expect: {}")
+
+
+def test_schema_allows_none_for_warnings_and_errors() -> None:
+    properties = make_json_schema()["definitions"]["expectations"]["properties"]
+    assert {"const": "none"} in properties["warnings"]["oneOf"]
+    assert properties["errors"]["oneOf"] == properties["warnings"]["oneOf"]
+
+
+def test_file_with_byte_order_mark_is_listed(tmp_path: Path) -> None:
+    path = tmp_path / "tests" / "a.yaml"
+    path.parent.mkdir()
+    path.write_bytes(b"\xef\xbb\xbfcases: [{name: x, rules: a <- b., expect: {}}]\n")
+    assert not is_foreign_file(path)
+    assert [case.name for case in read_case_file(path)] == ["x"]
+
+
+@pytest.mark.parametrize(
+    ("keys", "problem"),
+    [
+        ("input: [{event: b, interval: [-5, -3]}]", "interval: the end is before the start of the case"),
+        ("start: 1e200", "start: 1e200 is too large: expected at most 3.29497e+09"),
+        ("start: -1", "start: -1 is too small: expected at least 0"),
+    ],
+)
+def test_times_outside_of_range_are_errors(keys: str, problem: str) -> None:
+    assert problem in parse_error(f"rules: a <- b.\ncases: [{{name: x, expect: {{}}, {keys}}}]")

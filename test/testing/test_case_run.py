@@ -4,7 +4,7 @@ import logging
 from pathlib import Path
 
 import pytest
-from testing.case_texts import run_fever, run_text
+from testing.case_texts import fever_file, run_fever, run_text
 
 from retalis import BagWriter, Definitions, functor
 
@@ -356,3 +356,11 @@ def test_absent_events_and_topics_of_program_are_known(definitions: Definitions)
         "cases: [{name: x, expect: {events: {none: [std_msgs__0__Int8(_)]}}}]"
     )
     assert run_text(text, definitions).failures == ()
+
+
+def test_name_in_comment_is_no_event(definitions: Definitions) -> None:
+    text = fever_file("events: {none: ['fevr(_)']}").replace(
+        "rules: |\n", "rules: |\n  % fevr was the old name\n"
+    )
+    (failure,) = run_text(text, definitions).failures
+    assert "the program has no event 'fevr'" in failure

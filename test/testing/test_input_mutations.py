@@ -154,3 +154,11 @@ def test_mutation_is_described(change: Mutation, text: str) -> None:
 def test_largest_amount_is_absolute() -> None:
     assert largest_amount([mutation("restamped", 1, 0, -2), mutation("delayed", 1, 0, 1)]) == 2 * SECOND
     assert largest_amount([]) == 0
+
+
+def test_late_input_follows_input_in_time() -> None:
+    assert list_events(mutation("delayed", 1, 0, 2)) == [B, C, ("a", 3, 1, 1)]
+    topic = Topic("t", "unknown/Type", "", "")
+    records = [make_record(topic, second, bytes([second])) for second in (1, 3)]
+    mutator = MessageMutator([mutation("delayed", 1, 0, 2, "t")], Definitions(), START)
+    assert [record.data for record in mutator.mutate(records)] == [b"\x03", b"\x01"]

@@ -124,7 +124,12 @@ class AnswerService:
                 if not loop.is_closed():
                     loop.call_soon_threadsafe(set_answer, result)
 
-        threading.Thread(target=run_work, daemon=True, name="dashboard answer").start()
+        try:
+            threading.Thread(target=run_work, daemon=True, name="dashboard answer").start()
+        except RuntimeError:
+            # The system has no further thread.
+            self._answer_slots.release()
+            return ErrorAnswer(BUSY_ANSWER)
         return await answer
 
     def explain(self, request: Json) -> PageAnswer:

@@ -6,7 +6,7 @@ because the types of messages may not be known on the computer on which a file i
 goal file in the same way.
 """
 
-from typing import Any, Dict, Iterator, List, Union
+from typing import Any, Dict, Iterator, List, Optional, Union
 
 from ..events.language import event_operators  # noqa: F401  registers the operators of the event language
 from ..events.program.event_file_loader import apply_reader_settings
@@ -163,9 +163,16 @@ class ClauseReader(Program):
         return ParsedClause(parser, term, offset)
 
 
-def read_goal_clauses(text: str, source: str) -> Iterator[GoalLines]:
-    """Yield the goals of a goal file with their lines; a goal is a `ParsedClause`."""
-    settings = ClauseReader("", source)
+def read_goal_clauses(text: str, source: str, settings: Optional[ClauseReader] = None) -> Iterator[GoalLines]:
+    """Yield the goals of a goal file with their lines; a goal is a `ParsedClause`.
+
+    Args:
+        text: text of the file, or a part of it.
+        source: name of the file in errors.
+        settings: operators and flags, which the goals change; by default those of a new file.
+    """
+    if settings is None:
+        settings = ClauseReader("", source)
 
     def read_lines(part: str, first_line: int) -> ReadTerm:
         parser = create_term_parser(

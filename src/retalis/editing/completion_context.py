@@ -23,6 +23,12 @@ from ..prolog.syntax.tokenizer import (
 )
 from .symbol_uses import SymbolKind
 
+MAX_GOAL_LINES = 100
+"""Maximum number of lines before a position that are searched for the begin of its goal."""
+
+_OPENING = ("(", OPEN_CT, "[", "{")
+_CLOSING = (")", "]", "}")
+
 _MEMORY_READ_NAMES = frozenset(key.name for key in MEMORY_READS) | {"delete_memory"}
 
 
@@ -63,8 +69,8 @@ def find_context(text: str, offset: int, is_goal_file: bool) -> Optional[Complet
         offset: the offset.
         is_goal_file: whether each line begins a goal.
     """
-    start = text.rfind("\n", 0, offset) + 1 if is_goal_file else 0
     prefix = text[:offset]
+    start = _find_goal_start(prefix) if is_goal_file else 0
     clause: List[AnyToken] = []
     end = start
     for token in tokenize(Source("", prefix), lambda: OF_FILES, start):
@@ -78,6 +84,22 @@ def find_context(text: str, offset: int, is_goal_file: bool) -> Optional[Complet
         # The word that is completed.
         clause.pop()
     return _context_after(clause)
+
+
+def _find_goal_start(prefix: str) -> int:
+    """Return the offset of the first line of the goal at the end of a part of a goal file.
+
+    A line continues on the next one if one of its brackets is open, or if it ends with a comma or a bar.
+    """
+    start = prefix.rfind("\n") + 1
+    for _ in range(MAX_GOAL_LINES):
+        previous_start = prefix.rfind("\n", 0, max(0, start - 1)) + 1
+        tokens = list(tokenize(Source("", prefix[previous_start:start]), lambda: OF_FILES))
+        opened = sum((kind in _OPENING) - (kind in _CLOSING) for kind, _, _, _ in tokens)
+        if not tokens or not (opened > 0 or tokens[-1][0] in (",", "|")):
+            break
+        start = previous_start
+    return start
 
 
 def _ends_in_comment(prefix: str, end: int) -> bool:
@@ -94,10 +116,10 @@ def _context_after(clause: List[AnyToken]) -> CompletionContext:
     variables: List[str] = []
     for position, (kind, value, start, _) in enumerate(clause):
         previous = clause[position - 1] if position else None
-        if kind in ("(", OPEN_CT, "[", "{"):
+        if kind in _OPENING:
             is_functor = previous is not None and previous[0] in (NAME, QUOTED) and previous[3] == start
             brackets.append(_open(kind, brackets, previous[1] if previous and is_functor else ""))
-        elif kind in (")", "]", "}") and brackets:
+        elif kind in _CLOSING and brackets:
             brackets.pop()
         elif kind == "," and brackets:
             brackets[-1].argument += 1
@@ -109,11 +131,12 @@ def _context_after(clause: List[AnyToken]) -> CompletionContext:
             variables.append(value)
     innermost = brackets[-1] if brackets else None
     last_kind = clause[-1][0] if clause else ""
-    is_message = innermost is not None and innermost.kind == "{" and bool(innermost.message_path)
+    is_slot_name = innermost is not None and innermost.kind == "{" and last_kind in ("{", ",")
+    is_slot_name = is_slot_name and innermost is not None and bool(innermost.message_path)
     return CompletionContext(
         _expected_symbols(innermost),
-        innermost.message_path if innermost is not None and is_message and last_kind in ("{", ",") else (),
-        last_kind in ("{", ","),
+        innermost.message_path if innermost is not None and is_slot_name else (),
+        is_slot_name,
         tuple(innermost.slots) if innermost is not None else (),
         tuple(variables),
     )
@@ -160,6 +183,15 @@ _XML_NAME = re.compile(r"[\w.-]*")
 _XML_OPEN_ATTRIBUTE = re.compile(r"""\s+([\w.-]+)\s*=\s*(?:"[^"]*|'[^']*)""")
 
 
+def _has_element(text: str) -> bool:
+    """Return whether an element begins in a part of an XML file. The declaration begins with ``<?``."""
+    tag = text.find("<")
+    while tag >= 0 and not text[tag + 1 : tag + 2].isalpha():
+        comment_end = text.find("-->", tag) if text.startswith("<!--", tag) else tag
+        tag = text.find("<", comment_end + 1) if comment_end >= 0 else -1
+    return tag >= 0
+
+
 def find_xml_context(text: str, offset: int) -> Optional[XmlContext]:
     """Return the context of an offset in an XML file; None in a comment and outside of tags.
 
@@ -173,8 +205,7 @@ def find_xml_context(text: str, offset: int) -> Optional[XmlContext]:
         return None
     name = _XML_NAME.match(prefix, start + 1)
     position = start + 1 if name is None else name.end()
-    # The declaration and comments begin with `<?` and `<!`.
-    has_root = any(beginning[:1].isalpha() for beginning in prefix[:start].split("<")[1:])
+    has_root = _has_element(prefix[:start])
     if position == offset:
         return XmlContext("", "", (), has_root)
     element = prefix[start + 1 : position]

@@ -73,12 +73,20 @@ class _OutputLine:
         line: its parts.
         comment_column: column of the comment at its end in the source.
         row: the clause if this is its only line.
+        is_verbatim: whether spaces at its end remain.
     """
 
-    def __init__(self, line: LayoutLine, comment_column: int = -1, row: Optional[_FactRow] = None):
+    def __init__(
+        self,
+        line: LayoutLine,
+        comment_column: int = -1,
+        row: Optional[_FactRow] = None,
+        is_verbatim: bool = False,
+    ):
         self.line = line
         self.comment_column = comment_column
         self.row = row
+        self.is_verbatim = is_verbatim
 
 
 def _format(
@@ -111,8 +119,8 @@ def _final_lines(lines: Sequence[_OutputLine]) -> Iterator[str]:
     for index, output in enumerate(lines):
         if output.line.has_blank_line and index:
             yield ""
-        comment = output.line.comment
-        yield f"{output.line.code}{comment}".rstrip()
+        text = f"{output.line.code}{output.line.comment}"
+        yield text if output.is_verbatim else text.rstrip()
 
 
 # Rule files
@@ -245,7 +253,7 @@ class _LineWriter:
     def add_verbatim(self, start: int) -> None:
         """Add the rest of the text as it is."""
         rest = self._text[start:].strip("\n").split("\n")
-        self.lines += [_OutputLine(LayoutLine(line)) for line in rest]
+        self.lines += [_OutputLine(LayoutLine(line), is_verbatim=True) for line in rest]
 
 
 def _column(text: str, offset: int) -> int:
@@ -259,11 +267,12 @@ def _layout_goals(text: str, source: str, line_length: int) -> List[_OutputLine]
     source_lines = text.split("\n")
     lines: List[_OutputLine] = []
     position = 0
-    for goal_lines in _goals(text, source):
+    settings = ClauseReader("", source)
+    for goal_lines in _goals(text, source, settings):
         lines += _lines_between(source_lines[position : goal_lines.start])
         position = goal_lines.end
         has_blank_line = goal_lines.start > 0 and not source_lines[goal_lines.start - 1].strip()
-        goal = _layout_goal(goal_lines.goal, line_length) or [
+        goal = _layout_goal(goal_lines.goal, line_length, settings) or [
             _OutputLine(LayoutLine(line.rstrip())) for line in source_lines[goal_lines.start : position]
         ]
         goal[0].line = goal[0].line._replace(has_blank_line=has_blank_line)
@@ -279,8 +288,14 @@ def _lines_between(source_lines: Sequence[str]) -> Iterator[_OutputLine]:
             yield _OutputLine(LayoutLine(line.strip(), has_blank_line=has_blank_line))
 
 
-def _layout_goal(goal: ReadResult, line_length: int) -> List[_OutputLine]:
-    """Return the lines of a goal; none if its first lines would be a goal of their own in the layout."""
+def _layout_goal(goal: ReadResult, line_length: int, settings: ClauseReader) -> List[_OutputLine]:
+    """Return the lines of a goal; none if its first lines would be a goal of their own in the layout.
+
+    Args:
+        goal: the goal.
+        line_length: maximum length of a line.
+        settings: the operators and flags with which it was read.
+    """
     assert isinstance(goal, ParsedClause)
     text, end = goal.source.text, goal.tokens[-1][3]
     layout = ClauseLayout(goal, line_length, can_break=goal.tokens[-1][0] == END)
@@ -295,20 +310,21 @@ def _layout_goal(goal: ReadResult, line_length: int) -> List[_OutputLine]:
         last.row = _row(goal, layout)
     result = "\n".join(f"{output.line.code} {output.line.comment}" for output in lines)
     try:
-        is_same = _read_goals(result, goal.source.name) == _read_goals(text, goal.source.name)
+        readings = [_read_goals(layout_text, goal.source.name, settings) for layout_text in (result, text)]
+        is_same = readings[0] == readings[1]
     except ProgramErrors:
         is_same = False
     return lines if is_same else []
 
 
-def _goals(text: str, source: str) -> Iterator[GoalLines]:
-    """Yield the goals of a goal file.
+def _goals(text: str, source: str, settings: Optional[ClauseReader] = None) -> Iterator[GoalLines]:
+    """Yield the goals of a goal file; see `read_goal_clauses`.
 
     Raises:
         ProgramErrors: all syntax errors.
     """
     errors = Errors()
-    for goal_lines in read_goal_clauses(text, source):
+    for goal_lines in read_goal_clauses(text, source, settings):
         if isinstance(goal_lines.goal, SyntaxFault):
             errors.append(goal_lines.goal)
         elif not errors:
@@ -317,11 +333,11 @@ def _goals(text: str, source: str) -> Iterator[GoalLines]:
         raise ProgramErrors(errors)
 
 
-def _read_goals(text: str, source: str) -> _Reading:
+def _read_goals(text: str, source: str, settings: Optional[ClauseReader] = None) -> _Reading:
     source_lines = text.split("\n")
     reading = _Reading()
     position = 0
-    for goal_lines in _goals(text, source):
+    for goal_lines in _goals(text, source, settings):
         goal = goal_lines.goal
         assert isinstance(goal, ParsedClause)
         for line in source_lines[position : goal_lines.start]:

@@ -6,6 +6,8 @@ input. A program is checked with the texts that are not saved, shortly after the
 
 import os
 import sys
+from bisect import bisect_right
+from itertools import accumulate
 from typing import (
     TYPE_CHECKING,
     Any,
@@ -42,7 +44,7 @@ from .language_features import (
     hover,
     rename,
 )
-from .program_index import FileIndex, ProgramIndex, ProgramIndexes, UseInFile
+from .program_index import ProgramIndex, ProgramIndexes, UseInFile
 from .symbol_uses import SymbolUse
 
 if TYPE_CHECKING:
@@ -145,16 +147,15 @@ class RetalisServer:
     def _offset(self, uri: str, position: lsp.Position) -> int:
         return int(self._document(uri).offset_at_position(position))
 
-    def _range(self, text: str, start: int, end: int) -> lsp.Range:
+    def _range(self, lines: "_TextLines", start: int, end: int) -> lsp.Range:
         """Return a range of the protocol, whose columns are counted in UTF-16 units or as the editor wants."""
         codec = self.server.workspace.position_codec
-        first, last = (
-            lsp.Position(text.count("\n", 0, offset), offset - text.rfind("\n", 0, offset) - 1)
-            for offset in (start, end)
-        )
-        lines = text.split("\n")
-        result: lsp.Range = codec.range_to_client_units(lines, lsp.Range(first, last))
+        place = lsp.Range(lines.position(start), lines.position(end))
+        result: lsp.Range = codec.range_to_client_units(lines.lines, place)
         return result
+
+    def _range_in_document(self, uri: str, start: int, end: int) -> lsp.Range:
+        return self._range(_TextLines(self._document(uri).source), start, end)
 
     # Problems
 
@@ -236,7 +237,7 @@ class RetalisServer:
         if hovered is None:
             return None
         content = lsp.MarkupContent(lsp.MarkupKind.Markdown, hovered.text)
-        return lsp.Hover(content, self._range(self._document(uri).source, hovered.start, hovered.end))
+        return lsp.Hover(content, self._range_in_document(uri, hovered.start, hovered.end))
 
     def _on_definition(self, parameters: lsp.DefinitionParams) -> List[lsp.Location]:
         return self._locations(parameters, lambda use_in_file: use_in_file.use.is_definition)
@@ -257,15 +258,16 @@ class RetalisServer:
         index, uses = self._uses_at(parameters)
         # The symbols of one text in `pub_sub.xml` have the same place there.
         places = {
-            (found.file.path, found.use.start): found
+            (use_in_file.file.path, use_in_file.use.start): use_in_file
             for use in uses
-            for found in index.uses_of(use.symbol)
-            if is_wanted(found)
+            for use_in_file in index.uses_of(use.symbol)
+            if is_wanted(use_in_file)
         }
-        return [self._location(found.file, found.use.start, found.use.end) for found in places.values()]
-
-    def _location(self, file: FileIndex, start: int, end: int) -> lsp.Location:
-        return lsp.Location(_uri(file.path), self._range(file.text, start, end))
+        lines = {path: _TextLines(index.files[path].text) for path in {path for path, _ in places}}
+        return [
+            lsp.Location(_uri(file.path), self._range(lines[file.path], use.start, use.end))
+            for file, use in places.values()
+        ]
 
     def _on_prepare_rename(self, parameters: lsp.PrepareRenameParams) -> Optional[lsp.Range]:
         index, uses = self._uses_at(parameters)
@@ -276,7 +278,7 @@ class RetalisServer:
             check_renamable(use.symbol, index, self.settings.predicates)
         except RetalisError as error:
             raise _failure(error) from error
-        return self._range(self._document(parameters.text_document.uri).source, use.start, use.end)
+        return self._range_in_document(parameters.text_document.uri, use.start, use.end)
 
     def _on_rename(self, parameters: lsp.RenameParams) -> Optional[lsp.WorkspaceEdit]:
         index, uses = self._uses_at(parameters)
@@ -296,7 +298,8 @@ class RetalisServer:
         )
 
     def _text_edits(self, text: str, edits: Sequence[Edit]) -> List[lsp.TextEdit]:
-        return [lsp.TextEdit(self._range(text, edit.start, edit.end), edit.text) for edit in edits]
+        lines = _TextLines(text)
+        return [lsp.TextEdit(self._range(lines, edit.start, edit.end), edit.text) for edit in edits]
 
     def _on_formatting(self, parameters: lsp.DocumentFormattingParams) -> List[lsp.TextEdit]:
         uri = parameters.text_document.uri
@@ -307,6 +310,23 @@ class RetalisServer:
             first = error.errors[0] if isinstance(error, ProgramErrors) else error
             raise _failure(first) from error
         return [] if formatted == text else self._text_edits(text, [Edit(0, len(text), formatted)])
+
+
+class _TextLines:
+    """Lines of a text, for the conversion of offsets.
+
+    Attributes:
+        lines: the lines without their ends.
+    """
+
+    def __init__(self, text: str):
+        self.lines = text.split("\n")
+        self._starts = list(accumulate((len(line) + 1 for line in self.lines), initial=0))
+
+    def position(self, offset: int) -> lsp.Position:
+        """Return the line and the column of an offset, in characters."""
+        line = min(bisect_right(self._starts, offset), len(self.lines)) - 1
+        return lsp.Position(line, offset - self._starts[line])
 
 
 def _failure(error: RetalisError) -> JsonRpcException:

@@ -156,9 +156,11 @@ class Engine:
         reports: Optional[Reports] = None,
         definitions: Optional[Definitions] = None,
     ):
+        settings = Settings() if settings is None else settings
+        settings.check()
         parts = self._parts = EngineParts(
             StreamClock(follows_events=True) if clock is None else clock,
-            Settings() if settings is None else settings,
+            settings,
             Reports() if reports is None else reports,
             definitions,
         )
@@ -489,6 +491,7 @@ class Engine:
                 and the engine was created without limits and outside of `deferred_interrupts`: its rules do not count
                 their work.
         """
+        settings.check()
         self._parts.check_settings(settings)
 
         def change() -> None:

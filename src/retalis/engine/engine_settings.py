@@ -3,8 +3,9 @@
 from typing import Callable, NamedTuple, Optional, Tuple
 
 from ..events.knowledge.transform_buffer import DEFAULT_CACHE_SECONDS, TransformBuffer
-from ..messages.type_definition import QUOTED_STRINGS
-from ..prolog.machine.resource_limits import Limits
+from ..foundation.errors import UsageError, quote_shortened
+from ..messages.type_definition import QUOTED_STRINGS, STRING_FORMS
+from ..prolog.machine.resource_limits import Limits, validate_limit
 
 
 class Settings(NamedTuple):
@@ -66,6 +67,23 @@ class Settings(NamedTuple):
     counts_uses: bool = False
     strings: str = QUOTED_STRINGS
     transform_buffer: Callable[[float], TransformBuffer] = TransformBuffer
+
+    def check(self) -> None:
+        """Check the numbers and texts.
+
+        Raises:
+            UsageError: if a number is negative, not finite or too large, or ``strings`` is another text.
+        """
+        for name in ("watchdog", "patience", "max_gap", "watermark_delay", "max_watermark_delay", "tf_cache"):
+            value = getattr(self, name)
+            if value is not None:
+                validate_limit(f"settings: {name}", value, float)
+        for name in ("max_depth", "queue", "max_file_megabytes"):
+            validate_limit(f"settings: {name}", getattr(self, name), int)
+        if self.strings not in STRING_FORMS:
+            raise UsageError(
+                f"settings: strings: expected {' or '.join(STRING_FORMS)}, found {quote_shortened(str(self.strings))}"
+            )
 
 
 CHANGEABLE_SETTINGS = ("limits", "watchdog", "max_gap", "watermark_delay", "max_watermark_delay")

@@ -512,7 +512,8 @@ def _list_rules(
     rules: RuleBase, format_term: _FormatTerm, format_brief: Callable[[Term], str], limit: int
 ) -> Tuple[Tuple[RuleStatus, ...], int]:
     """Return the status of rules, and the number of rules that are not listed: those with the fewest errors."""
-    listed = rules.rules
+    # Read once, because the engine may add or delete rules meanwhile.
+    all_rules = listed = rules.rules
     if len(listed) > limit:
         # The sort is stable, so rules without errors keep their order, and the result is in order of the rules again.
         chosen = set(sorted(listed, key=lambda rule: -rule.metrics.error_count)[: max(0, limit)])
@@ -537,7 +538,7 @@ def _list_rules(
             rule.name,
         )
 
-    return tuple([read_status(rule) for rule in listed]), len(rules.rules) - len(listed)
+    return tuple([read_status(rule) for rule in listed]), len(all_rules) - len(listed)
 
 
 def _list_memories(

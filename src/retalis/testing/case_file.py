@@ -47,6 +47,9 @@ MAX_TIMEOUT = 1e6
 MAX_SECONDS = 1e9
 """Largest time in seconds since the start of a case, some 30 years."""
 
+MAX_START_SECONDS = 2.0**32 - MAX_SECONDS
+"""Largest start of a case in seconds since the epoch, so that all its times are times of ROS 1."""
+
 GOLDEN_SUFFIX = ".jsonl"
 """Suffix of golden files."""
 
@@ -59,8 +62,8 @@ NAME_END = "_test"
 _CASES_KEY = b"cases"
 """Key that all test files have."""
 
-_BEFORE_KEY = b" \t\r{\"'"
-"""Characters before the first key of a line."""
+_BEFORE_KEY = b" \t\r{\"'\xef\xbb\xbf"
+"""Bytes before the first key of a line; the last three are a byte order mark."""
 
 PROGRAM_FILES = (GOALS, TOPICS)
 """Files by which the folder of a program is recognized."""
@@ -77,6 +80,7 @@ class MappingKey(NamedTuple):
 
 _TEXT: JsonSchema = {"type": "string"}
 _TEXTS: JsonSchema = {"type": "array", "items": _TEXT}
+_TEXTS_OR_NONE: JsonSchema = {"oneOf": [_TEXTS, {"const": "none"}]}
 _TERM: JsonSchema = {"type": ["string", "number"]}
 _SECONDS: JsonSchema = {"type": "number", "minimum": 0}
 _COUNT: JsonSchema = {"type": "integer", "minimum": 0}
@@ -174,8 +178,8 @@ EXPECTATION_KEYS = {
     ),
     "golden": MappingKey("file with all expected outputs, written by `--update`", _TEXT),
     "state": MappingKey("answers of queries", _list_of(_reference("answer"))),
-    "errors": MappingKey("parts of the expected errors; by default no error is allowed", _TEXTS),
-    "warnings": MappingKey("parts of the expected warnings; by default all are allowed", _TEXTS),
+    "errors": MappingKey("parts of the expected errors; by default no error is allowed", _TEXTS_OR_NONE),
+    "warnings": MappingKey("parts of the expected warnings; by default all are allowed", _TEXTS_OR_NONE),
     "tolerance": MappingKey("default of the items' `tolerance`", _reference("tolerance")),
     "within": MappingKey("default of the items' `within`", _SECONDS),
 }
@@ -348,7 +352,7 @@ class _CaseReader:
             raise self._case.error("a case without name: expected the key 'name'")
         name = values["name"].text()
         events, messages, bags = self._read_input()
-        start = values["start"].number() if "start" in values else None
+        start = values["start"].number(0, MAX_START_SECONDS) if "start" in values else None
         end = _read_time(values, "until")
         expectations = self._read_expectations()
         times = [event.time for event in events] + [message.time for message in messages]
@@ -600,6 +604,10 @@ def _read_times(item: YamlValue, values: Mapping[str, YamlValue], default: Optio
         time = default
     if time is None:
         raise item.error(f"{item.name}: expected the key 'at'")
+    if time < 0:
+        raise values["interval"].error(
+            "interval: the end is before the start of the case: expected the key 'at'"
+        )
     if "every" not in values:
         if "count" in values:
             raise values["count"].error("count: expected the key 'every', too")

@@ -16,13 +16,15 @@ from ..foundation.similar_names import did_you_mean
 from ..messages.type_definition import Definition, functor_name
 from ..messages.type_registry import Definitions
 from ..playback.playback import Playback
+from ..prolog.syntax.term_reader import OF_FILES
+from ..prolog.syntax.tokenizer import NAME, QUOTED, TEXT, Source, tokenize
 from ..prolog.terms.types import Functor
 from .case_definition import CaseProgram, ExpectedItem, ExpectedSequence
 from .expectation_checks import Failure, RunItem, functor_of
 from .message_comparison import SlotComparison
 
 _WORD = re.compile(r"\w+")
-"""A word in the text of a program. Only names that are words are checked."""
+"""A word in a name or text of a program. Only names that are words are checked."""
 
 
 class ProgramNames:
@@ -56,12 +58,15 @@ class ProgramNames:
 
     @cached_property
     def events(self) -> Set[str]:
-        """Names of events: all words in its texts, the types of its topics, and the events that have occurred."""
+        """Names of events: the types of its topics, the events that have occurred, and all names in its texts."""
         input_types = (*self._program.topics, *self._configuration.subscribed)
         names = {functor_name(message_type) for _, message_type in input_types}
         names.update(name_of(functor_of(event.term)) for event in self._events)
         for text in _read_texts(self._playback.engine, self._program):
-            names.update(_WORD.findall(text))
+            # A goal may read an event from a text. A comment is no source of events.
+            for kind, _, start, end in tokenize(Source("", text), lambda: OF_FILES):
+                if kind in (NAME, QUOTED, TEXT):
+                    names.update(_WORD.findall(text, start, end))
         return names
 
     @cached_property
@@ -84,7 +89,7 @@ def _read_texts(engine: Engine, program: CaseProgram) -> Iterator[str]:
     yield from (fact.text for fact in program.facts)
     paths = set(engine.program.rules.files.loaded)
     if program.folder is not None:
-        paths.update((program.folder / GOALS, program.folder / TOPICS))
+        paths.add(program.folder / GOALS)
     for path in paths:
         try:
             yield path.read_text(encoding="utf-8", errors="replace")

@@ -51,13 +51,17 @@ def identify_events(events: Iterable[CaseEvent]) -> Iterator[Tuple[InputId, Case
 
 
 def mutate_events(events: Sequence[CaseEvent], mutations: Iterable[Mutation]) -> List[CaseEvent]:
-    """Return the events of a case after mutations, by time."""
+    """Return the events of a case after mutations, by time. A late event follows those that are in time."""
     mutation_by_input = {mutation.input: mutation for mutation in mutations}
     mutated: List[CaseEvent] = []
+    late: List[CaseEvent] = []
     for input_id, event in identify_events(events):
         mutation = mutation_by_input.get(input_id)
-        mutated += [event] if mutation is None else _mutate_event(event, mutation)
-    return sorted(mutated, key=attrgetter("time"))
+        if mutation is None:
+            mutated.append(event)
+        else:
+            (late if mutation.type in _LATER else mutated).extend(_mutate_event(event, mutation))
+    return sorted([*mutated, *late], key=attrgetter("time"))
 
 
 def _mutate_event(event: CaseEvent, mutation: Mutation) -> List[CaseEvent]:
@@ -92,7 +96,7 @@ class MessageMutator:
         self._has_header: Dict[str, bool] = {}
 
     def mutate(self, records: Iterable[Record]) -> Iterator[Record]:
-        """Yield messages after the mutations, ordered by time, as they are."""
+        """Yield messages after the mutations by time, as they are. A late message follows those that are in time."""
         numbering = _InputNumbering()
         # Numbers keep the order of records of equal time, which cannot be compared.
         late_records: List[Tuple[int, int, Record]] = []

@@ -15,6 +15,7 @@ from retalis.prolog.machine.errors import existence_error, permission_error
 from retalis.prolog.syntax.term_reader import read_program
 from retalis.prolog.syntax.term_writer import write_term
 from retalis.prolog.syntax.tokenizer import ReadFlags
+from retalis.prolog.terms.term_traversal import variant_key
 
 
 class FileStore:
@@ -310,11 +311,7 @@ def test_reading_by_characters_advances_to_same_offset(parts: List[Any], data: s
 
     def text_of(entry: Any) -> Any:
         assert not isinstance(entry, SyntaxFault)
-        return (
-            None
-            if entry is None
-            else write_term(entry.term, operators, quoted=True, numbervars=True).split("_")[0]
-        )
+        return None if entry is None else variant_key(entry.term)
 
     for term, _ in parts:
         entry = text_of(whole.read_term(operators, flags))
@@ -360,7 +357,7 @@ def test_lines_of_long_text_are_counted_once() -> None:
     for offset in range(0, 6000, 6):
         stream.offset = offset
         assert stream.line == offset // 6 + 1
-    assert Text.looked <= 6000
+    assert 0 < Text.looked <= 6000
 
 
 @pytest.mark.parametrize(

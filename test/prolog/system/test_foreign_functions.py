@@ -2,6 +2,7 @@
 
 import itertools
 import math
+import re
 import sys
 from pathlib import Path
 from typing import Any, Dict, Iterator, List, Optional, Tuple
@@ -444,3 +445,20 @@ def test_other_terms_for_ndarray_are_errors(term: str) -> None:
 )
 def test_returned_array_is_converted_to_list(array: Any, text: str) -> None:
     assert writeq(to_term(array)) == text
+
+
+def test_items_of_list_parameter_are_checked() -> None:
+    @foreign
+    def total(values: List[int], scale: Optional[int]) -> int:
+        return sum(values) * (scale or 0)
+
+    engine = Engine()
+    engine.add_foreign(total)
+    assert engine.query("total([1, 2], 3, X)")[0]["X"] == 9
+    for goal, problem in {
+        "total([1, a], 3, X)": "`integer' expected, found `a'",
+        "total(abc, 3, X)": "`list' expected, found `abc'",
+        "total([1], 2.5, X)": "`integer' expected, found `2.5'",
+    }.items():
+        with pytest.raises(PrologError, match=re.escape(problem)):
+            engine.query(goal)

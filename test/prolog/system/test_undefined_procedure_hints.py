@@ -5,6 +5,7 @@ from typing import Any, List, Optional
 import pytest
 from prolog.support import NEVER, prolog
 
+from retalis import Engine
 from retalis.prolog.machine.errors import PrologError
 from retalis.prolog.syntax.term_reader import read_term
 from retalis.prolog.system import undefined_procedure_hints
@@ -94,3 +95,10 @@ def test_error_names_clauses_that_may_call(
         assert [place.rpartition(":")[0] + ":" for place in named] == callers
     else:  # compiled, the frame that the call returns to is known
         assert named[0].startswith(callers[0])
+
+
+def test_similar_name_with_same_number_of_arguments_is_suggested() -> None:
+    engine = Engine()
+    engine.load(rules="temperature_left(1, 2).\ntemperature_lift(1).")
+    with pytest.raises(PrologError, match=r"did you mean temperature_lift/1\?"):
+        engine.query("temperature_lefft(X)")

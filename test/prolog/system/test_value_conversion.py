@@ -20,9 +20,11 @@ from retalis import (
     to_python,
     to_term,
 )
+from retalis.foundation.errors import TermTooLarge
 from retalis.prolog.syntax.term_reader import read_term
 from retalis.prolog.syntax.term_writer import writeq
 from retalis.prolog.system.value_conversion import to_json
+from retalis.prolog.terms.types import CONS, MINUS
 
 
 def texts_of(value: Any) -> List[str]:
@@ -146,3 +148,31 @@ def test_json_of_cyclic_term_is_refused() -> None:
     loop.ref = functor("f", 1)(loop)
     with pytest.raises(UsageError):
         to_json(loop, {}, 1000)
+
+
+@pytest.mark.slow
+def test_numpy_bool_is_converted_to_atom() -> None:
+    numpy = pytest.importorskip("numpy")
+    assert writeq(to_term([numpy.bool_(True), numpy.array([1.0]).max() > 2])) == "[true,false]"
+
+
+def test_deep_value_is_converted_to_term() -> None:
+    value: Any = "x"
+    for number in range(10_000):
+        value = {"k": value} if number % 3 == 0 else [value] if number % 3 == 1 else Compound("f", [value])
+    term: Any = to_term(value)
+    for _ in range(10_000):
+        term = term[1][2] if is_key_value_list(term) else term[1]
+    assert writeq(term) == "x"
+
+
+def is_key_value_list(term: Any) -> bool:
+    return term[0] is CONS and term[1].__class__ is tuple and term[1][0] is MINUS
+
+
+@pytest.mark.slow
+def test_list_that_contains_itself_is_too_large() -> None:
+    value: List[Any] = []
+    value.append(value)
+    with pytest.raises(TermTooLarge):
+        to_term(value)

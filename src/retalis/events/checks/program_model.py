@@ -373,7 +373,8 @@ class RecordedTopic(NamedTuple):
     Attributes:
         topic: its name.
         type: its message type.
-        period: mean time between two of its messages in seconds; None for less than two.
+        period: mean time between two of its messages in seconds, if they are spread over the whole bag; None for
+            less than two.
     """
 
     topic: str

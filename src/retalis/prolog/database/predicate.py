@@ -10,6 +10,7 @@ Changes follow the logical update view: a call sees the clauses that existed whe
 marked with the generation of their removal and dropped later. Lists that running calls may hold are never shortened.
 """
 
+from itertools import islice
 from typing import TYPE_CHECKING, Any, Callable, Dict, Hashable, Iterator, List, Optional, Tuple
 
 from ...foundation.cancellation import check_limits
@@ -162,6 +163,11 @@ class Predicate:
     def active_clauses(self) -> Iterator[Clause]:
         """Yield the clauses that have not been retracted, in order."""
         return (clause for clause in list(self.clauses) if clause.retracted_at == NEVER_RETRACTED)
+
+    def last_clauses(self, count: int) -> List[Clause]:
+        """Return the last clauses that have not been retracted, the last one first."""
+        active = (clause for clause in reversed(self.clauses) if clause.retracted_at == NEVER_RETRACTED)
+        return list(islice(active, count))
 
     def __len__(self) -> int:
         return len(self.clauses) - self.retracted_count

@@ -87,7 +87,7 @@ def validate_limit(name: str, value: object, number_type: Type[Number]) -> Numbe
     if isinstance(value, (int, float)) and not isinstance(value, bool):
         if 0 <= value <= maximum and number_type(value) == value:
             return number_type(value)
-        value_text = str(value) if abs(value) < 1e300 else "a larger number"
+        value_text = "a larger number" if abs(value) >= 1e300 else str(value)
     else:
         value_text = quote_shortened(repr(value))
     expected = "a whole number" if number_type is int else "a number"

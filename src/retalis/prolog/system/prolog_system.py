@@ -194,7 +194,8 @@ class PrologSystem(PredicateTable):
         predicate = self.database.writable(clause.predicate.functor, "modify")
         last_clause = predicate.clauses[-1]
         if not is_error_clause_body(last_clause.body):
-            for earlier_clause in list(predicate.active_clauses())[-2:]:
+            # The error clause was the last one before this rule.
+            for earlier_clause in predicate.last_clauses(2):
                 if is_error_clause_body(earlier_clause.body):
                     predicate.remove(earlier_clause)
             self._add_to_predicate(error_clause, None, False, asserted)

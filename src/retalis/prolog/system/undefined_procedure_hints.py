@@ -183,6 +183,7 @@ def find_similar(logic: "PredicateTable", key: Functor) -> List[str]:
     for name in close_names:
         if key.arity in arities[name]:
             return [f"{name}/{key.arity}"]
+    for name in close_names:
         # A name that differs more, with other arguments, is another predicate: count/1 is not meant as counter/2.
         if name == key.name or get_close_matches(compared, [name], 1, 0.85):
             return [f"{name}/{arity}" for arity in sorted(set(arities[name]))[:3]]

@@ -8,7 +8,19 @@ clients.
 import json
 import math
 import numbers
-from typing import Any, Callable, Dict, List, NamedTuple, Optional, Sequence, Tuple, Union
+from typing import (
+    Any,
+    Callable,
+    Dict,
+    List,
+    NamedTuple,
+    Optional,
+    Sequence,
+    Tuple,
+    Union,
+    get_args,
+    get_origin,
+)
 
 from ...foundation.cancellation import STEPS_PER_ROUND, check_limits
 from ...foundation.errors import TermTooLarge, UsageError
@@ -21,7 +33,6 @@ from ..terms.term_traversal import MAX_STEPS
 from ..terms.types import (
     CONS,
     FALSE,
-    MINUS,
     NIL,
     TRUE,
     Atom,
@@ -140,11 +151,58 @@ def to_term(value: object) -> Term:
 
     Raises:
         UsageError: if the value has another type.
+        TermTooLarge: if the value has too many parts, as a list that contains itself.
     """
+    term = _to_constant(value)
+    if term is not None:
+        return term
+    # As in `to_python`: a pending entry below the parts of a collection joins their terms afterwards.
+    terms: List[Term] = []
+    stack: List[Any] = [value]
+    steps = 0
+    while stack:
+        steps += 1
+        if not steps & _CHECK_MASK:
+            check_limits()
+        if steps + len(stack) > MAX_STEPS:
+            raise TermTooLarge
+        top = stack.pop()
+        if isinstance(top, _PendingTerm):
+            terms[len(terms) - top.count :] = [top.join(terms[len(terms) - top.count :])]
+            continue
+        term = _to_constant(top)
+        if term is not None:
+            terms.append(term)
+        elif isinstance(top, Compound):
+            stack.append(_PendingTerm(len(top.args), functor(top.name, len(top.args))))
+            stack.extend(reversed(top.args))
+        else:
+            items = _read_items(top)
+            stack.append(_PendingTerm(len(items), None))
+            stack.extend(reversed(items))
+    return terms[0]
+
+
+class _PendingTerm:
+    """Stack entry of `to_term` below the parts of a compound term, or of a list (without a functor)."""
+
+    __slots__ = ("count", "functor")
+
+    def __init__(self, count: int, term_functor: Optional[Functor]):
+        self.count = count
+        self.functor = term_functor
+
+    def join(self, terms: List[Term]) -> Term:
+        """Return the term with these parts."""
+        return make_list(terms) if self.functor is None else (self.functor, *terms)
+
+
+def _to_constant(value: Any) -> Optional[Term]:
+    """Return a value without parts, or a term, as a term; None for a collection."""
     if value is None:
         raise UsageError("None is not a term")
     # bool is a subclass of int, so it is tested before the numbers.
-    if isinstance(value, bool):
+    if isinstance(value, bool) or _is_numpy_bool(value.__class__):
         return TRUE if value else FALSE
     if isinstance(value, (Atom, String, Var, Lazy)):
         return value
@@ -154,34 +212,37 @@ def to_term(value: object) -> Term:
         return int(value)
     if isinstance(value, numbers.Real):
         return float(value)
-    return _to_compound(value)
-
-
-def _to_compound(value: Any) -> Term:
-    """Return a collection or a `Compound` as a term."""
     if isinstance(value, Compound):
-        if not value.args:
-            return atom(value.name)
-        return (functor(value.name, len(value.args)), *[to_term(item) for item in value.args])
+        return None if value.args else atom(value.name)
     # Compound terms are tuples that begin with a functor; any other tuple is a list.
     if isinstance(value, tuple) and value and isinstance(value[0], Functor):
         return value
     if _is_ndarray(value.__class__) and value.ndim == 1 and value.dtype.kind in "iuf":
         return array_term(value)
+    return None
+
+
+def _read_items(value: Any) -> List[Any]:
+    """Return the items of an iterable; those of a dict are ``Key-Value``."""
     if isinstance(value, dict):
-        return make_list([(MINUS, to_term(key), to_term(item)) for key, item in value.items()])
+        return [Compound("-", pair) for pair in value.items()]
     try:
-        items = iter(value)
+        iterator = iter(value)
     except TypeError:
         raise UsageError(f"a {type(value).__name__} is not a term: {value!r}") from None
-    terms = []
-    for count, item in enumerate(items, 1):
-        terms.append(to_term(item))
+    items = []
+    for count, item in enumerate(iterator, 1):
+        items.append(item)
         if not count & _CHECK_MASK:
             check_limits()
             if count > MAX_STEPS:
                 raise TermTooLarge
-    return make_list(terms)
+    return items
+
+
+def _is_numpy_bool(value_class: type) -> bool:
+    # Its name depends on the version of numpy.
+    return value_class.__module__ == "numpy" and value_class.__name__ in ("bool_", "bool")
 
 
 def _is_ndarray(value_class: object) -> bool:
@@ -193,10 +254,28 @@ def argument_converter(hint: object) -> Callable[[Term], object]:
     """Return the conversion of a term to the argument of a parameter with an annotation."""
     if hint in (Any, Term, Var):
         return deref
+    origin, types = get_origin(hint), [item for item in get_args(hint) if item is not type(None)]
     # `numpy.ndarray`, or `numpy.typing.NDArray` with a type of elements.
-    if _is_ndarray(getattr(hint, "__origin__", hint)):
+    if _is_ndarray(origin or hint):
         return array_of
+    # No term is None.
+    if origin is Union and len(types) == 1:
+        return argument_converter(types[0])
+    if origin is list and types:
+        return _list_converter(argument_converter(types[0]))
     return _CONVERTERS_BY_TYPE.get(hint, to_python)
+
+
+def _list_converter(convert_item: Callable[[Term], object]) -> Callable[[Term], object]:
+    """Return the conversion of a list with items of one type."""
+
+    def convert_list(term: Term) -> object:
+        items = list_items(deref(term))
+        if items is None:
+            raise type_error("list", deref(term))
+        return [convert_item(item) for item in items]
+
+    return convert_list
 
 
 def _typed_converter(
@@ -209,7 +288,7 @@ def _typed_converter(
         # The atoms true and false are texts for a parameter of type str, and bool must not pass as an integer.
         if isinstance(value, bool) and bool not in accepts:
             value = "true" if value else "false"
-        if not isinstance(value, accepts) or isinstance(value, Compound):
+        if not isinstance(value, accepts):
             raise type_error(name, deref(term))
         return convert(value)
 
