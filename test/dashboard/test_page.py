@@ -331,6 +331,8 @@ def test_query_form_is_hidden_if_not_allowed(browser: Any, program: Any) -> None
 
 
 def test_events_are_observed_only_on_request(page: Any, program: Any) -> None:
+    program.event("seen_before(1)", 7)
+    page.wait_for("document.getElementById('events').textContent.includes('seen_before')")
     page.ask("document.getElementById('follow').click()")
     page.wait_for("!document.getElementById('follow').checked")
     wait_for_update(page, 3)
