@@ -108,6 +108,19 @@ def test_window_has_words_of_its_measures() -> None:
     ]
 
 
+def test_held_values_have_words_for_all_notations() -> None:
+    text = reading("x(N) <- aggregate(avg(T), a(T), N, held(last(90))).")[1]
+    assert text == (
+        "- `a(T)` happened; `N` is the average of `T` over time in the last 1 min 30 s, where each `a(T)` lasts "
+        "until the next one"
+    )
+    for window in ("last(5)", "every(5)", "last(5, every(2))"):
+        for limit, words in (("", "next one"), (", max(7)", "next one, at most 7 s")):
+            text = reading(f"x(N) <- aggregate(duration(T > 3), a(T), N, held({window}{limit})).")[1]
+            assert "`N` is the seconds for which `T>3` holds over time in" in text
+            assert text.endswith(words)
+
+
 def test_sessions_have_words_for_both_notations() -> None:
     assert reading("x(N) <- aggregate(count, a(_), N, session(90)).")[1] == (
         "- no `a(_)` has happened for 1 min 30 s; `N` is the number of `a(_)` in the `a(_)` since the last such pause"

@@ -17,6 +17,8 @@ NOTATIONS = [
     for function in AGGREGATES_BY_NAME.values()
 ]
 FOLDED = "none(0).\nlonger(X, S0, S) :- S is max(X, S0).\nsame(S, S)."
+HELD_AGGREGATES = "[avg(X), duration(X > 2), min(X), max(X), first(X), last(X)]"
+HELD_WINDOWS = ("held(last(3))", "held(last(3), max(2))", "held(every(2))", "held(last(3, every(1)), max(2))")
 WINDOWS = (
     "last(3)",
     "last(4, events)",
@@ -38,6 +40,10 @@ PATTERNS = {
     **{
         f"more aggregates in {window}": f"w(R) <- aggregate({MORE_AGGREGATES}, in(_, X), R, {window})."
         for window in WINDOWS
+    },
+    **{
+        f"held values in {window}": f"w(K, R) <- aggregate({HELD_AGGREGATES}, in(K, X), R, {window})."
+        for window in HELD_WINDOWS
     },
     **{
         f"repetitions with {notation}": f"w(K, R) <- end(K) seq aggregate({notation}, in(_, X), R).\n{FOLDED}"

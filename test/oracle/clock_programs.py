@@ -55,6 +55,8 @@ RULES = (
     "o{n}(R) <- aggregate(list(X), a(X), R, every({w}, events)).",
     "o{n}(R) <- aggregate([count, quantile(0.5, X)], a(X), R, last({d}, every({e}))).",
     "o{n}(R) <- aggregate(max(X), b(X), R, running(every({d}))).",
+    "o{n}(X, R) <- aggregate([avg(Y), min(Y)], c(X, Y), R, held(last({d}, every({e})), max({e}))).",
+    "o{n}(R) <- aggregate(duration(X > 1), b(X), R, held(last({d}))).",
     "o{n}(X, R) <- aggregate(count, c(X, Y), R, steps([low(1, 3) where Y =< 1, high where Y > 1])).",
     "o{n}(R) <- aggregate(list(X), a(X), R, steps([p, later(q(2)) where X >= prev(X)])).",
     "o{n}(X, Y) <- (a(X) seq b(Y)) within {d}.",

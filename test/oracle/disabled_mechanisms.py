@@ -28,6 +28,7 @@ from retalis.events.network.node_timers import NodeTimers
 from retalis.events.network.stream_node import StreamNode
 from retalis.events.streams import row_pattern
 from retalis.events.streams.absence_timeout import AbsenceTimeout
+from retalis.events.streams.held_window import HeldSignal
 from retalis.events.streams.rate_operators import RATE_OPERATORS, Debounce, DistinctUntilChanged, Throttle
 from retalis.events.streams.row_pattern import RowPatternWindow
 from retalis.events.streams.row_pattern_automaton import RowPatternNFA, _LazyChoices, _PositionCompiler
@@ -362,6 +363,12 @@ MECHANISMS: Dict[str, Mechanism] = {
     ),
     "maximum length of sessions": Mechanism(
         window("session", lambda make, form: SessionWindow(make, form.gap, None)), windows("bounded_session")
+    ),
+    "held values end": Mechanism(
+        method(HeldSignal, "remove_before", nothing), windows("bounded_held", "bounded_held_last")
+    ),
+    "held values replace each other": Mechanism(
+        method(HeldSignal, "_add_time_of", nothing), windows("held", "held_last")
     ),
     "groups and keys": Mechanism(one_key, oracle_about(has_key)),
     "timestamps too far ahead": Mechanism(

@@ -250,8 +250,16 @@ WINDOWS = {
     "every": "last({0},every({1}))",
     "session": "session({0})",
     "bounded_session": "session({0},max({1}))",
+    "held": "held(last({0},every({1})))",
+    "bounded_held": "held(last({0},every({1})),max({0}))",
+    "held_last": "held(last({0}))",
+    "bounded_held_last": "held(last({0}),max({1}))",
 }
 """Notation of windows with their span and step."""
+HELD = ("held", "bounded_held", "held_last", "bounded_held_last")
+"""Windows of values that last until the next one."""
+HELD_KINDS = ("avg", "min", "max", "first", "last", "duration")
+"""Aggregates of these windows."""
 STREAMED = (Windowed, Shaped, Awaited, Preceded)
 CONDITIONS = (Where, Check, Within, Without)
 NEGATIONS = (Cnot, Fnot, Without)

@@ -21,6 +21,8 @@ from .evaluator import run
 from .goals import show
 from .matches import POLICIES, RESULTS
 from .patterns import (
+    HELD,
+    HELD_KINDS,
     NEGATIONS,
     STREAMED,
     WINDOWS,
@@ -329,12 +331,19 @@ class Generator:
         kinds += [self.choice(["count", "list", "avg"] if bound else ["count"])] if self.chance(30) else []
         values = make_list([self.choice(bound) for kind in kinds if kind not in ("count", "rate")])
         results = make_list([self.choice([Var(), Var(), Var(), 2, self.choice(self.pool)]) for _ in kinds])
-        window = self.choice(list(WINDOWS))
+        window = self.choice(list(WINDOWS) if bound else [name for name in WINDOWS if name not in HELD])
+        if window in HELD:
+            kinds = [self.choice(HELD_KINDS) for _ in kinds]
+            measured: List[Any] = [self.choice(bound) for _ in kinds]
+            goals = [functor(self.choice(["<", ">"]), 2)(value, self.choice(NUMBERS)) for value in measured]
+            values = make_list(
+                [goal if kind == "duration" else value for kind, value, goal in zip(kinds, measured, goals)]
+            )
         span: Any = self.choice([1, 2, 3] if window in ("newest", "batch", "running_batch") else SPANS)
         step = self.choice([span, span, *SPANS])
         if window == "bounded_session":
             step += span
-        if self.chance(25):
+        if window not in HELD and self.chance(25):
             steps = self.steps(bound)
             kinds = [
                 f"{kind}@{self.choice(range(len(steps)))}" if self.chance(30) else kind for kind in kinds

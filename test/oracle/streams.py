@@ -10,9 +10,9 @@ from typing import Any, Callable, Dict, List, Optional, Sequence, Tuple
 from retalis import Term, Var, list_items, make_list
 from retalis.prolog.terms.term_traversal import variables
 
-from .goals import Bindings, GoalError, instance, number, show, unbound, unify
+from .goals import Bindings, GoalError, instance, number, show, solve, unbound, unify
 from .matches import EMPTY_RESULTS, NUMERIC, RESULTS, Event, Match
-from .patterns import Aggregate, Awaited, Both, Pattern, Preceded, Shaped, Star, Windowed, children
+from .patterns import HELD, Aggregate, Awaited, Both, Pattern, Preceded, Shaped, Star, Windowed, children
 from .row_pattern_matches import decided_matches
 from .rule_conditions import may_bind
 from .rule_runs import IdentifyingRepetitions
@@ -104,6 +104,8 @@ class Streams(IdentifyingRepetitions):
             return [self.begins[node][element.key] + node.span for element in waiting]
         if isinstance(node, Windowed) and node.window in ("session", "bounded_session"):
             return [self._session_end(node, session) for session in self._sessions_of(node, waiting)]
+        if isinstance(node, Windowed) and node.window in ("held", "bounded_held"):
+            return self._held_instants(node)
         if isinstance(node, Windowed) and node.window == "every":
             return [
                 end
@@ -349,6 +351,111 @@ class Streams(IdentifyingRepetitions):
             results += self._window_match(node, sorted(session, key=self.elements[node].index))
         return results
 
+    # Held values.
+
+    def _pieces(self, node: Windowed, elements: Sequence[Element]) -> List[Tuple[Element, Any, Any]]:
+        """held(W, max(S)): a value lasts from the end of its Q to that of the next one, S seconds at most.
+
+        Of several Q with the same end, the last to arrive counts.
+        """
+        limits = {"held": 100_000 * node.step, "bounded_held": node.span, "bounded_held_last": node.step}
+        by_end = {element.match.end: element for element in elements}
+        ends = sorted(by_end)
+        following = [*ends[1:], None]
+        pieces: List[Tuple[Element, Any, Any]] = []
+        for end, next_end in zip(ends, following):
+            last = end + limits[node.window] if node.window in limits else None
+            candidates = [instant for instant in (next_end, last) if instant is not None]
+            pieces.append((by_end[end], end, min(candidates) if candidates else None))
+        return pieces
+
+    def _held_in(
+        self, node: Windowed, elements: Sequence[Element], begin: Any, end: Any, closed: bool
+    ) -> Any:
+        """Return the pieces that reach into a window."""
+        return [
+            piece
+            for piece in self._pieces(node, elements)
+            if (piece[2] is None or piece[2] > begin) and (piece[1] < end or (closed and piece[1] == end))
+        ]
+
+    def _held_match(self, node: Windowed, pieces: Any, begin: Any, interval: Any) -> List[Match]:
+        """Return the match of a window over pieces, up to the end of an interval."""
+        columns = list(zip(*(element.values for element, _, _ in pieces)))
+        end = interval[1]
+        times = [(end if last is None else min(last, end)) - max(first, begin) for _, first, last in pieces]
+        measured: List[Term] = []
+        for kind in node.kinds.split():
+            values = list(columns.pop(0))
+            if kind == "avg":
+                lasting = [(value, time) for value, time in zip(values, times) if time]
+                if not lasting:
+                    return []
+                total = sum(Fraction(value) * Fraction(time) for value, time in lasting)
+                exact = total / Fraction(sum(time for _, time in lasting))
+                is_integer = all(isinstance(value, int) for value, _ in lasting) and exact.denominator == 1
+                measured.append(int(exact) if is_integer else float(exact))
+            elif kind == "duration":
+                measured.append(float(sum(time for value, time in zip(values, times) if value)))
+            else:
+                measured.append(
+                    {"min": min, "max": max}[kind](values)
+                    if kind in ("min", "max")
+                    else values[0 if kind == "first" else -1]
+                )
+        inside = [element for element, _, _ in pieces]
+        results = unify(node.results, make_list(measured), self._of_group(node, inside[-1].match))
+        if results is None:
+            return []
+        numbers = frozenset(number for element in inside for number in element.match.numbers)
+        return [Match(interval[0], interval[1], results, (), numbers, (), composed=True)]
+
+    def _held_last(
+        self, node: Windowed, elements: List[Element], element: Element, newest: Any
+    ) -> List[Match]:
+        """held(last(N)): the values of the last N seconds; a Q whose value has ended before these is too late."""
+        same = self._not_idle(node, [*(other for other in elements if other.key == element.key), element])
+        begin = newest - node.span
+        pieces = self._held_in(node, same, begin, newest, True)
+        if not any(piece[0] is element for piece in pieces):
+            return []
+        elements.append(element)
+        return self._held_match(node, pieces, begin, (max(begin, pieces[0][1]), newest))
+
+    def _held_every(
+        self, node: Windowed, elements: List[Element], element: Element, newest: Any
+    ) -> List[Match]:
+        elements.append(element)
+        return []
+
+    def _held_instants(self, node: Windowed) -> List[Any]:
+        """held(last(N, every(M))): each multiple of M, while a value lasts in the N seconds before it."""
+        elements = self.elements[node]
+        instants: List[Any] = []
+        for key in dict.fromkeys(element.key for element in elements):
+            for element, begin, end in self._pieces(node, [other for other in elements if other.key == key]):
+                after = max(element.arrival, self.reached(node))
+                instant = max(begin // node.step + 1, after // node.step + 1) * node.step
+                if end > instant - node.span:
+                    instants.append(instant)
+        return instants
+
+    def _held_due(self, node: Windowed, instant: Any) -> List[Match]:
+        """Emit the windows that end, in the order of the first Q of their keys."""
+        self.newest[node] = instant
+        elements = self.elements[node]
+        windows: List[Any] = []
+        for key in dict.fromkeys(element.key for element in elements):
+            same = [other for other in elements if other.key == key and other.match.end < instant]
+            pieces = self._held_in(node, same, instant - node.span, instant, False)
+            if pieces:
+                windows.append(pieces)
+        results: List[Match] = []
+        for pieces in sorted(windows, key=lambda pieces: elements.index(pieces[0][0])):
+            begin = instant - node.span
+            results += self._held_match(node, pieces, begin, (begin, instant))
+        return results
+
     def _steps(self, node: Windowed, elements: List[Element], element: Element, newest: Any) -> List[Match]:
         """Matches of the steps that an element decides; they end at its end at the earliest."""
         elements.append(element)
@@ -376,6 +483,10 @@ class Streams(IdentifyingRepetitions):
         "every": _every,
         "session": _session,
         "bounded_session": _session,
+        "held": _held_every,
+        "bounded_held": _held_every,
+        "held_last": _held_last,
+        "bounded_held_last": _held_last,
     }
 
     # Deadlines.
@@ -387,6 +498,8 @@ class Streams(IdentifyingRepetitions):
                 return self._close(node, instant)
             if node.window in ("session", "bounded_session"):
                 return self._end_sessions(node, waiting, instant)
+            if node.window in HELD:
+                return self._held_due(node, instant)
             return self._hop(node, waiting, instant)
         results: List[Any] = []
         for element in waiting:
@@ -497,6 +610,8 @@ class Streams(IdentifyingRepetitions):
         values: List[Any] = []
         for kind, term in zip(kinds, list_items(node.values) or []):
             value = instance(term, match.bindings)
+            if kind == "duration":
+                value = next(solve(value, match.bindings), None) is not None
             values.append(number(value, match.bindings) if kind in NUMERIC else value)
         return values
 

@@ -43,7 +43,7 @@ def test_state_of_release_is_restored(release: Any, flags: Any) -> None:
     assert continued_outputs(restored) == expected
 
 
-NEWER_RECORDS = {"NotPrecededFilter", "SessionWindow"}
+NEWER_RECORDS = {"HeldHoppingWindow", "HeldWindow", "NotPrecededFilter", "SessionWindow"}
 """Records that are newer than the states of the last release; the states of the next release have them."""
 
 

@@ -27,6 +27,7 @@ from ..events.language.state_parser import StateForm, declares_state, parse_stat
 from ..events.language.stream_parser import regroup_rate_operator
 from ..events.program.topic_configuration import GOALS, TOPICS, read_text
 from ..events.streams.aggregates import AGGREGATES
+from ..events.streams.held_window import HELD_AGGREGATES
 from ..foundation.errors import UsageError, format_count, format_duration, shorten
 from ..messages.type_definition import type_name
 from ..prolog.syntax.operators import Operators
@@ -96,7 +97,9 @@ def _pattern_rows() -> List[_TableRow]:
 @lru_cache(maxsize=1)
 def _aggregate_rows() -> List[_TableRow]:
     """Return the rows of aggregates."""
-    return _make_rows((function.notation, function.words) for function in AGGREGATES.values())
+    rows = [(function.notation, function.words) for function in AGGREGATES.values()]
+    rows += [(function.notation, function.words) for function in HELD_AGGREGATES.values()]
+    return _make_rows(rows)
 
 
 @lru_cache(maxsize=1)

@@ -96,6 +96,8 @@ STREAMS = (
     "aggregate(fold(foo, foo, foo, X), {0}, S, running(every(2, first)))",
     "aggregate(list(X), {0}, S, session(2))",
     "aggregate(count, {0}, S, session(1, max(3)))",
+    "aggregate([avg(X), duration(X > 1)], {0}, S, held(every(2)))",
+    "aggregate([min(X), last(X)], {0}, S, held(last(2), max(1)))",
     "({0} seq absent(b(X), 2))",
     "({0} seq absent(b(X), Y))",
     "({0} with not_preceded(b(X), 2))",

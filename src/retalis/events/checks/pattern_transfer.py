@@ -28,7 +28,7 @@ from .value_conflicts import NUMBER_ADVICE, ConflictReporter
 from .value_kinds import LIST, NUMBER, WORD, Kinds, ValueOrigin, kinds_of_slot, kinds_of_type
 
 _REV = functor("rev", 1)
-_NUMERIC_RESULTS = frozenset(("count", "rate", "count_distinct"))
+_NUMERIC_RESULTS = frozenset(("count", "rate", "count_distinct", "duration"))
 _LIST_RESULTS = frozenset(("list", "distinct"))
 _ELEMENT_RESULTS = frozenset(("first", "last"))
 
@@ -143,7 +143,7 @@ class PatternTransfer:
     # Windows and aggregates
 
     def _bind_window(self, node: WindowPattern, environment: Environment) -> None:
-        for goal in node.window.goals:
+        for goal in node.goals:
             self._goals.run(wrap_term(goal), 1, environment.copy())
         kinds_of_results = [
             self._kinds_of_result(kind, value, environment, node)
@@ -177,7 +177,8 @@ class PatternTransfer:
         measured: Any = None if value is None else deref(value)
         known = None if measured is None else environment.value_of(measured)
         kinds = None if known is None else known.kinds
-        self._check_measured_kinds(kind, measured, environment, window is not None)
+        accepts_arrays = window is not None and window.window.kind != "held"
+        self._check_measured_kinds(kind, measured, environment, accepts_arrays)
         if kind in _NUMERIC_RESULTS:
             return {NUMBER: origin}
         if kind in _ELEMENT_RESULTS:
@@ -188,14 +189,14 @@ class PatternTransfer:
         return None
 
     def _check_measured_kinds(
-        self, kind: str, measured: Any, environment: Environment, in_window: bool
+        self, kind: str, measured: Any, environment: Environment, accepts_arrays: bool
     ) -> None:
         """Report a variable that an aggregate of numbers collects although it is no number."""
         known = None if measured is None else environment.value_of(measured)
         if not self._conflicts.is_enabled or known is None or not known.kinds or known.is_direct:
             return
         # Windows aggregate arrays element by element.
-        accepts_lists = in_window and kind in AGGREGATES and AGGREGATES[kind].accepts_arrays
+        accepts_lists = accepts_arrays and kind in AGGREGATES and AGGREGATES[kind].accepts_arrays
         refused = set(NUMBER_ADVICE) - ({LIST} if accepts_lists else set())
         if _is_numeric(kind) and set(known.kinds) <= refused:
             self._conflicts.report_aggregated_value(environment.part, measured, known.kinds, kind)

@@ -33,6 +33,7 @@ from ..language.pattern_tree import (
     RepeatedPattern,
     RuleDefinition,
     WindowPattern,
+    WindowSpec,
     WithinPattern,
     bound_by,
     children,
@@ -384,10 +385,12 @@ _TIMED_OPERATORS = tuple(name for name, operator in RATE_OPERATORS.items() if op
 _SPANS = {
     **dict.fromkeys(("within", "absent", "exceptionAlarm"), _SpanNotation(2, ())),
     **dict.fromkeys(_TIMED_OPERATORS, _SpanNotation(1, ("with",))),
-    **dict.fromkeys(("last", "every", "first"), _SpanNotation(1, ("aggregate", "last", "running", "timer"))),
+    **dict.fromkeys(
+        ("last", "every", "first"), _SpanNotation(1, ("aggregate", "last", "running", "held", "timer"))
+    ),
     "after": _SpanNotation(1, ("timer",)),
     "session": _SpanNotation(1, ("aggregate",)),
-    "max": _SpanNotation(1, ("session",)),
+    "max": _SpanNotation(1, ("session", "held")),
 }
 """Names of terms with a span in seconds."""
 
@@ -626,13 +629,20 @@ def _has_unbounded_keys(node: Pattern, definition: RuleDefinition) -> bool:
     """Return whether a stream operator keeps a state for each value of a variable."""
     if isinstance(node, RatePattern):
         return node.operator == "change" and any(variables(term) for term in node.keys)
-    if not isinstance(node, WindowPattern) or node.window.kind not in ("newest", "batch", "steps"):
+    if not isinstance(node, WindowPattern) or not _has_lasting_keys(node.window):
         return False
     measured = [value for value in node.values if value is not None]
     operator_counts = occurrences([*measured, *node.window.navigated_vars], node.collected)
     head = [] if definition.head is None else [definition.head]
     rule_counts = occurrences(head, definition.pattern)
     return any(rule_counts[var] > operator_counts.get(var, 0) for var in bound_by(node.collected))
+
+
+def _has_lasting_keys(window: WindowSpec) -> bool:
+    """Return whether time alone does not end the state of a key."""
+    if window.kind == "held":
+        return not window.step and window.max_length is None
+    return window.kind in ("newest", "batch", "steps")
 
 
 def _aggregate_place(rule: SourceRule) -> Optional[Place]:

@@ -532,6 +532,34 @@ EVENT_OPERATORS: Tuple[EventOperator, ...] = (
                 "aggregate(K,Q,R,session(N,max(M)))",
                 "no Q has happened for N seconds, or M seconds have passed since the first of them; R is K in them",
             ),
+            PatternReading(
+                "aggregate(K,Q,R,held(last(N)))",
+                "Q happened; R is K over time in the last N seconds, where each Q lasts until the next one",
+            ),
+            PatternReading(
+                "aggregate(K,Q,R,held(last(N),max(M)))",
+                "Q happened; R is K over time in the last N seconds, where each Q lasts until the next one, at most "
+                "M seconds",
+            ),
+            PatternReading(
+                "aggregate(K,Q,R,held(every(N)))",
+                "a period of N seconds, counted from 1970, has ended; R is K over time in this period, where each Q "
+                "lasts until the next one",
+            ),
+            PatternReading(
+                "aggregate(K,Q,R,held(every(N),max(M)))",
+                "a period of N seconds, counted from 1970, has ended; R is K over time in this period, where each Q "
+                "lasts until the next one, at most M seconds",
+            ),
+            PatternReading(
+                "aggregate(K,Q,R,held(last(N,every(M))))",
+                "each M seconds; R is K over time in the last N seconds, where each Q lasts until the next one",
+            ),
+            PatternReading(
+                "aggregate(K,Q,R,held(last(N,every(M)),max(L)))",
+                "each M seconds; R is K over time in the last N seconds, where each Q lasts until the next one, at "
+                "most L seconds",
+            ),
             PatternReading("aggregate(K,Q,R,steps(S))", "Q happened by these steps; R is K in them"),
             PatternReading("aggregate(K,Q,R,steps(S,O))", "Q happened by these steps; R is K in them"),
         ),

@@ -493,7 +493,8 @@ def check_window(
         RuleError: if a numeric measure gets a value that can never be a number.
     """
     for aggregate_name, value in zip(window_pattern.kinds, window_pattern.values):
-        if value is None or not AGGREGATES[aggregate_name].is_numeric:
+        # ``duration`` measures a goal.
+        if value is None or aggregate_name not in AGGREGATES or not AGGREGATES[aggregate_name].is_numeric:
             continue
         if not _may_be_numeric(insert_stamps(value) if window_pattern.window.steps else value):
             raise RuleError(

@@ -178,6 +178,10 @@ class RowPatternStep(NamedTuple):
         return [goal for goal in (self.goal, self.until) if goal is not None]
 
 
+DURATION = "duration"
+"""Name of the aggregate that measures a goal."""
+
+
 class WindowSpec(NamedTuple):
     """Window: the matches that are aggregated together, and the times at which a result is emitted.
 
@@ -185,12 +189,13 @@ class WindowSpec(NamedTuple):
         kind: ``last`` for a sliding window of ``span`` ns, ``newest`` for a sliding window of ``max_count`` matches,
             ``every`` for windows of ``span`` ns that start every ``step`` ns, ``first`` for windows that start with
             a match, ``batch`` for tumbling windows of ``max_count`` matches, ``session`` for windows that end ``gap``
-            ns after their last match, ``steps`` for row patterns.
+            ns after their last match, ``steps`` for row patterns, ``held`` for values that last until the next match.
         span: length in ns.
-        step: for ``every``, ns from one start to the next one.
+        step: for ``every`` and ``held``, ns from one start to the next one; 0 if each match emits a result.
         max_count: number of matches.
         gap: for ``session``, ns without a match that end a window.
-        max_length: for ``session``, maximum length of a window in ns; None for no maximum.
+        max_length: for ``session``, maximum length of a window in ns, and for ``held``, maximum time in ns for which
+            a value lasts; None for no maximum.
         running: whether each match emits a result, not only the end of a window.
         steps: the steps of a row pattern.
         structure: their order; None if they follow each other.
@@ -245,6 +250,14 @@ class WindowPattern(NamedTuple):
     is_listed: bool
     window: WindowSpec
     scopes: Tuple[Optional[int], ...]
+
+    @property
+    def goals(self) -> List[Term]:
+        """The goals of measures and the conditions of steps."""
+        measured_goals = [
+            value for kind, value in zip(self.kinds, self.values) if kind == DURATION and value is not None
+        ]
+        return [*measured_goals, *self.window.goals]
 
 
 class RatePattern(NamedTuple):

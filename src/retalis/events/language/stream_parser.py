@@ -38,10 +38,12 @@ from ...prolog.terms.types import (
     functor_name,
 )
 from ..streams.aggregates import AGGREGATES, Setting
+from ..streams.held_window import HELD_AGGREGATES, MAX_HELD_STEPS
 from ..streams.rate_operators import RATE_OPERATORS
 from .event_operators import OPERATOR_NAMES
 from .likely_mistakes import bracket_advice
 from .pattern_tree import (
+    DURATION,
     AbsencePattern,
     EventPattern,
     NotPrecededPattern,
@@ -71,13 +73,15 @@ CreateError = Callable[..., RuleError]
 
 _WINDOW_NOTATIONS = (
     "last(Seconds), last(N, events), last(Seconds, every(Seconds)), every(Seconds), every(Seconds, first), "
-    "every(N, events), running(every(...)), session(Seconds), session(Seconds, max(Seconds)), steps([Step, ...]), "
-    "or steps([Step, ...], [Option, ...])"
+    "every(N, events), running(every(...)), session(Seconds), session(Seconds, max(Seconds)), held(Window), "
+    "held(Window, max(Seconds)), steps([Step, ...]), or steps([Step, ...], [Option, ...])"
 )
 
 
-_WINDOW_NAMES = frozenset(("last", "every", "running", "session", "steps"))
+_WINDOW_NAMES = frozenset(("last", "every", "running", "session", "held", "steps"))
 _STEP_MEASURE_NAME = "of"
+_HELD = "held"
+_HELD_NOTATION = "held needs last(Seconds), every(Seconds) or last(Seconds, every(Seconds))"
 
 
 def is_event(term: CompoundTerm) -> bool:
@@ -197,12 +201,18 @@ def parse_window(reader: "PatternReader", term: CompoundTerm) -> WindowPattern:
         raise reader.create_error("an aggregate needs at least one kind", term, 1)
     measure_terms = [measures_term] if listed_measures is None else [deref(item) for item in listed_measures]
     restricted_measures = [_split_step_restriction(measure_term) for measure_term in measure_terms]
-    measures = [parse_measure(reader, measure_term, term) for _, measure_term in restricted_measures]
+    has_held_values = functor_name(term[4]) == _HELD
+    measures = [
+        parse_measure(reader, measure_term, term, has_held_values) for _, measure_term in restricted_measures
+    ]
     collected = reader.read_operand(term, 2, "aggregate")
     pattern_variables = set(bound_by(collected))
     for (_, measure_term), measure in zip(restricted_measures, measures):
-        if measure.value is not None and any(
-            var not in pattern_variables for var in variables(measure.value)
+        # A goal may have variables of its own.
+        if (
+            measure.value is not None
+            and measure.name != DURATION
+            and any(var not in pattern_variables for var in variables(measure.value))
         ):
             raise reader.create_error(
                 "a measured value has a variable that no event in the window binds", measure_term
@@ -254,13 +264,16 @@ class AggregateMeasure(NamedTuple):
     value: Optional[Term]
 
 
-def parse_measure(reader: "PatternReader", measure_term: Any, term: CompoundTerm) -> AggregateMeasure:
+def parse_measure(
+    reader: "PatternReader", measure_term: Any, term: CompoundTerm, of_held_values: bool = False
+) -> AggregateMeasure:
     """Return the measure that a term denotes.
 
     Args:
         reader: reports errors with their places.
         measure_term: the term.
         term: the aggregate, whose first argument it is.
+        of_held_values: whether it measures the time for which values last.
 
     Raises:
         RuleError: if there is no such aggregate function, or its setting is malformed.
@@ -268,7 +281,23 @@ def parse_measure(reader: "PatternReader", measure_term: Any, term: CompoundTerm
     name = functor_name(measure_term)
     arguments: Sequence[Term] = measure_term[1:] if measure_term.__class__ is tuple else ()
     error_position = (measure_term,) if measure_term.__class__ is tuple else (term, 1)
+    if of_held_values:
+        if name not in HELD_AGGREGATES or len(arguments) != 1:
+            notations = ", ".join(held_aggregate.notation for held_aggregate in HELD_AGGREGATES.values())
+            raise reader.create_error(
+                f"the aggregates of held values are {notations}{did_you_mean(name, HELD_AGGREGATES)}",
+                *error_position,
+            )
+        value = reader.read_goal(measure_term, 1, DURATION) if name == DURATION else deref(arguments[0])
+        # The value of a variable might be a number, which is no goal.
+        if name == DURATION and value.__class__ is Var:
+            raise reader.create_error("duration needs a goal", measure_term, 1)
+        return AggregateMeasure(name, None, value)
     aggregate = AGGREGATES.get(name)
+    if name == DURATION and len(arguments) == 1:
+        raise reader.create_error(
+            "duration needs a window of held values, as held(every(10))", *error_position
+        )
     if aggregate is None or len(arguments) != aggregate.arity:
         notations = ", ".join(aggregate.notation for aggregate in AGGREGATES.values())
         raise reader.create_error(
@@ -314,6 +343,8 @@ def _parse_window_term(
         return tumbling._replace(running=True)
     if name == "session":
         return _parse_session_window(reader, window)
+    if name == _HELD:
+        return _parse_held_window(reader, window, term)
     return _parse_last_or_every(reader, window, term)
 
 
@@ -367,6 +398,30 @@ def _parse_session_window(reader: "PatternReader", window: CompoundTerm) -> Wind
     if max_length <= gap:
         raise reader.create_error("max needs more seconds than its session", option, 1)
     return WindowSpec("session", gap=gap, max_length=max_length)
+
+
+def _parse_held_window(reader: "PatternReader", window: CompoundTerm, term: CompoundTerm) -> WindowSpec:
+    """Return the window ``held(Window)`` or ``held(Window, max(Seconds))``."""
+    option: Any = deref(window[2]) if len(window) == 3 else None
+    is_bounded = option.__class__ is tuple and option[0].name == "max" and len(option) == 2
+    if len(window) != 2 and not is_bounded:
+        raise reader.create_error(
+            "held takes a window and max(Seconds)", window, 2 if len(window) == 3 else 0
+        )
+    inner = deref(window[1])
+    if functor_name(inner) not in ("last", "every"):
+        raise reader.create_error(_HELD_NOTATION, window, 1)
+    measured = _parse_last_or_every(reader, inner, term)
+    if measured.kind not in ("last", "every"):
+        raise reader.create_error(_HELD_NOTATION, window, 1)
+    step = measured.step if measured.kind == "every" else 0
+    max_length = parse_seconds("max", option, 1, reader.create_error) if is_bounded else None
+    # Each result in this time is an event, also if the clock jumps.
+    if max_length is not None and step and max_length > MAX_HELD_STEPS * step:
+        raise reader.create_error(
+            f"max needs no more than {MAX_HELD_STEPS} times the seconds of its every", option, 1
+        )
+    return WindowSpec("held", measured.span, step, max_length=max_length)
 
 
 def _create_hopping_window(reader: "PatternReader", window: CompoundTerm, span: int, step: int) -> WindowSpec:
@@ -433,6 +488,10 @@ def window_term(window: WindowSpec, to_seconds: Callable[[int], float] = timesta
     if window.kind == "session":
         bound = () if window.max_length is None else (functor("max", 1)(to_seconds(window.max_length)),)
         return functor("session", 1 + len(bound))(to_seconds(window.gap), *bound)
+    if window.kind == "held":
+        inner = window._replace(kind="every" if window.step else "last", max_length=None)
+        bound = () if window.max_length is None else (functor("max", 1)(to_seconds(window.max_length)),)
+        return functor("held", 1 + len(bound))(window_term(inner, to_seconds), *bound)
     if window.kind == "newest":
         return functor("last", 2)(window.max_count, atom("events"))
     if window.kind == "batch":

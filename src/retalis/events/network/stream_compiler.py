@@ -40,6 +40,7 @@ from ...prolog.terms.unification import undo, unify
 from ..dispatch.matcher_compiler import compile_builder
 from ..fused.fused_window import FusedWindow, has_fused_measures
 from ..language.pattern_tree import (
+    DURATION,
     AbsencePattern,
     ConditionPattern,
     NegationScope,
@@ -69,6 +70,7 @@ from ..matches.match_types import PartialMatch, unify_sides
 from ..matches.network_options import NetworkOptions
 from ..streams.absence_timeout import AbsenceTimeout, ComputedAbsenceTimeout, Correlation, NotPrecededFilter
 from ..streams.aggregates import AGGREGATES
+from ..streams.held_window import HELD_AGGREGATES, HeldHoppingWindow, HeldSlidingWindow
 from ..streams.rate_operators import RATE_OPERATORS
 from ..streams.row_pattern import RowPatternWindow
 from ..streams.row_pattern_automaton import (
@@ -221,9 +223,15 @@ _WINDOWS: Dict[str, Callable[[Any, Any], StreamOperator]] = {
     "session": lambda make_accumulators, window: SessionWindow(
         make_accumulators, window.gap, window.max_length
     ),
+    "held": lambda make_measures, window: (
+        HeldHoppingWindow(make_measures, window.span, window.step, window.max_length)
+        if window.step
+        else HeldSlidingWindow(make_measures, window.span, window.max_length)
+    ),
 }
 # Reports of events that arrive too late.
 _LATE_FOR_WINDOW = "an event is too late and is not measured: its window has ended"
+_LATE_FOR_HELD_WINDOW = "an event is too late for a window that has ended: its value lasts in later windows"
 _LATE_FOR_DELAYED_MATCH = (
     "an event is too late and is ignored: the time in which a newer one could follow has passed"
 )
@@ -286,17 +294,14 @@ def compile_window_spec(
         _compile_values_builder(measured_terms, value_vars),
         [position_of[var] for var in navigated_vars],
     )
+    is_held = window_pattern.window.kind == "held"
     measured_kinds = [
         (kind, scope)
         for kind, value, scope in zip(window_pattern.kinds, window_pattern.values, window_pattern.scopes)
         if value is not None
     ]
     evaluate_values = [
-        _make_lenient(
-            evaluators.compile_expression(kind, value, value_vars, AGGREGATES[kind].accepts_arrays), scope
-        )
-        if AGGREGATES[kind].is_numeric
-        else None
+        _compile_measured_value(evaluators, kind, value, value_vars, scope, is_held)
         for (kind, scope), value in zip(measured_kinds, measured_terms)
     ]
     has_numeric_values = any(evaluate_values)
@@ -338,9 +343,13 @@ def compile_window_spec(
             uses_stamps=has_stamps,
         )
     create_operator = partial(_WINDOWS[window.kind], make_accumulators, window)
-    uses_clock = window.kind in ("first", "session") or (window.kind == "every" and not window.running)
+    uses_clock = (
+        window.kind in ("first", "session")
+        or (window.kind == "every" and not window.running)
+        or (is_held and window.step > 0)
+    )
     calls_goals, fusible_window = (
-        "fold" in window_pattern.kinds,
+        "fold" in window_pattern.kinds or DURATION in window_pattern.kinds,
         _find_fusible_window(window_pattern, position_of, key_vars),
     )
     return StreamNodeSpec(
@@ -348,7 +357,7 @@ def compile_window_spec(
         key_and_values,
         build_match_values,
         uses_clock,
-        _LATE_FOR_WINDOW,
+        _LATE_FOR_HELD_WINDOW if is_held else _LATE_FOR_WINDOW,
         calls_goals,
         fusible_window,
     )
@@ -382,6 +391,28 @@ def _find_distinct_new_vars(window_pattern: WindowPattern, key_vars: Sequence[Va
     return new_vars if len(set(new_vars)) == len(window_pattern.results) else None
 
 
+def _compile_measured_value(
+    evaluators: Evaluators,
+    kind: str,
+    value: Term,
+    value_vars: Sequence[Var],
+    scope: Optional[int],
+    is_held: bool,
+) -> Optional[Evaluate]:
+    """Return the function that computes the value of a measure; None if the term itself is measured."""
+    if kind == DURATION:
+        goal_vars = [var for var in variables(value) if var in set(value_vars)]
+        goal_positions = [positions(value_vars)[var] for var in goal_vars]
+        is_satisfied = evaluators.compile_test(value, goal_vars, "the goal of duration")
+        return lambda term, values: int(
+            is_satisfied(tuple([values[position] for position in goal_positions]))
+        )
+    if not AGGREGATES[kind].is_numeric:
+        return None
+    accepts_arrays = AGGREGATES[kind].accepts_arrays and not is_held
+    return _make_lenient(evaluators.compile_expression(kind, value, value_vars, accepts_arrays), scope)
+
+
 def _make_lenient(evaluate: Evaluate, scope: Optional[int]) -> Evaluate:
     """Return the evaluation of an expression.
 
@@ -408,9 +439,13 @@ def _accumulator_factory(
     window_pattern: WindowPattern, compile_fold: Callable[[Any], FoldFunction]
 ) -> Callable[[], List[Any]]:
     """Return a function that creates the accumulators of one key."""
-    accumulator_factories = []
+    accumulator_factories: List[Callable[[], Any]] = []
     position = 0
     for kind, setting, value in zip(window_pattern.kinds, window_pattern.settings, window_pattern.values):
+        if window_pattern.window.kind == "held":
+            accumulator_factories.append(partial(HELD_AGGREGATES[kind].measure, position, kind, None))
+            position += 1
+            continue
         if kind == "rate":
             setting = Fraction(window_pattern.window.span, SECOND) if window_pattern.window.span else None
         elif kind == "fold":
@@ -602,13 +637,10 @@ class StreamCompiler:
             is_delayed = RATE_OPERATORS[pattern.operator].is_delayed
             built = BuiltPattern(node, [], below.leaves, []) if is_delayed else below
             return built._replace(node=self._add(node, None, Retention(max_interval, max_interval)))
-        if any(
-            var in context and var not in value_vars
-            for goal in pattern.window.goals
-            for var in variables(goal)
-        ):
+        if any(var in context and var not in value_vars for goal in pattern.goals for var in variables(goal)):
+            place_of_goal = "duration" if pattern.window.kind == "held" else "a condition of a step"
             raise RuleError(
-                "a condition of a step uses a pattern to the left of what is measured", self.rule.place
+                f"{place_of_goal} uses a pattern to the left of what is measured", self.rule.place
             )
         values = [value for value in pattern.values if value is not None]
         outside_vars = self._find_outside_vars(input_pattern, [*values, *pattern.window.navigated_vars])
