@@ -216,7 +216,7 @@ def test_bag_at_url_is_downloaded(capsys: pytest.CaptureFixture[str], folder: Pa
     status, text, error = run_diff(capsys, "old", "old", f"file://{folder}/bags/a.bag", "--full")
     assert (status, text, error) == (0, "1 bag: 2 equal outputs\n", "")
     (folder / "bags" / "c.bag").write_bytes(b"no bag")
-    status, _, error = run_diff(capsys, "old", "old", f"file://{folder}/bags/c.bag")
+    status, _, error = run_diff(capsys, "old", "new", f"file://{folder}/bags/c.bag")
     assert status == 1
     assert error.startswith(f"error: file://{folder}/bags/c.bag")
 

@@ -12,7 +12,6 @@ from retalis import BagReader, BagWriter, Definitions, Playback
 from retalis.node.transport import MessageSource
 from retalis.playback import shared_pass
 from retalis.playback.shared_pass import SharedRun, SharedTerms, run_together
-from retalis.prolog.terms.types import Lazy
 
 DEFINITIONS = Definitions()
 NUMBER = DEFINITIONS.add("test_msgs/Number", "int64 x")
@@ -159,11 +158,3 @@ def test_message_is_decoded_once_in_a_portion() -> None:
     terms.clear()
     handlers[0](data)
     assert len(decoded) == 2
-
-
-def test_other_messages_are_not_decoded() -> None:
-    terms = SharedTerms()
-    terms.limit_decoding(frozenset(("test_msgs__0__Number",)))
-    handler = terms.make_handler(DEFINITIONS.decoder(TEXTS), "/texts", MessageSource("", TEXTS.name))
-    term, _ = handler(b"malformed")
-    assert isinstance(term, Lazy)

@@ -122,12 +122,18 @@ GOALS = [
         ((), ["% new", "low(Value) <- a(Value)", "  where Value < 9."], Extent.EQUAL),
         # A rule with one that awaits its events; `high` is not run.
         ((1,), ["low(X) <- a(X) where X < 3."], Extent.PART),
+        # The bag has no messages d, but those of the other branch.
+        ((1,), ["low(1) <- a(_) or d."], Extent.PART),
+        # A condition that creates a text.
+        ((1,), ["low(X) <- a(X) where (format(atom(T), '~w', [X]), T == '1')."], Extent.PART),
+        # A goal that may call others.
+        ((1,), ["low(X) <- a(X) where (format(atom(T), '~p', [X]), T == '1')."], Extent.WHOLE),
         # A predicate.
         ((0,), ["big(X) :- X > 3."], Extent.PART),
         # The bag has no messages d.
         ((4,), ["made <- d do new_event(m(2), 3, 0)."], Extent.UNREACHED),
         # A dynamic predicate may affect every rule.
-        ((1,), ["low(X) <- a(X) do assertz(seen(X)).", ":- dynamic seen/1."], Extent.WHOLE),
+        ((1,), ["low(X) <- a(X) where X < 9 do assertz(seen(X)).", ":- dynamic seen/1."], Extent.WHOLE),
     ],
 )
 def test_difference_has_extent(folder: Path, replaced: Any, rules: List[str], extent: Extent) -> None:
@@ -140,7 +146,20 @@ def test_difference_has_extent(folder: Path, replaced: Any, rules: List[str], ex
     comparison = compare(folders, folder / "some.bag")
     assert comparison.extent is extent
     assert without_reasons(comparison) == compare_whole_runs(folders, folder / "some.bag")
-    assert bool(comparison.changes) == (extent is Extent.PART)
+    assert comparison.changes or extent is not Extent.PART
+
+
+def test_rules_in_another_order_are_different(folder: Path) -> None:
+    first, second, last = "low(1) <- a(_).", "low(2) <- a(_).", "last(X) <- low(X) and b(_)."
+    goals = ["subscribe(last(_), [], _, t, s)", "subscribe(high(_), [], _, t_high, s)"]
+    folders = [
+        write_program(folder / "old", [*RULES[:3], first, second, last], goals),
+        write_program(folder / "new", [*RULES[:3], second, first, last], goals),
+    ]
+    comparison = compare(folders, folder / "some.bag")
+    assert comparison.extent is Extent.PART
+    assert len(comparison.changes) == 2
+    assert without_reasons(comparison) == compare_whole_runs(folders, folder / "some.bag")
 
 
 class ProgramPairs:

@@ -28,6 +28,7 @@ from ..testing.output_changes import (
     PlainOutput,
     Version,
     compare_versions,
+    have_equal_programs,
 )
 from ..testing.program_difference import Extent
 from .command_options import add_message_folders, message_folders
@@ -183,6 +184,14 @@ def _run_tasks(options: argparse.Namespace, tasks: Sequence[_ComparisonTask]) ->
 
     with ExitStack() as stack:
         scratch = stack.enter_context(TemporaryDirectory(prefix="retalis-"))
+        # Worthwhile if a bag is downloaded, or the programs would be loaded for each of several bags.
+        if (
+            not options.full
+            and any(len(tasks) > 1 or is_url(task.bag) for task in tasks)
+            and _has_equal_versions(tasks[0])
+        ):
+            comparison = Comparison((), 0, 0, Extent.EQUAL)
+            return [_BagResult(task.bag, comparison) for task in tasks]
         if len(tasks) == 1 and not options.scheduler:
             return [_compare_bag(tasks[0], scratch)]
         bar = stack.enter_context(show_progress("bags", lambda: len(results) / len(tasks)))
@@ -200,25 +209,32 @@ def _run_tasks(options: argparse.Namespace, tasks: Sequence[_ComparisonTask]) ->
     return [results[number] for number in range(len(tasks))]
 
 
+def _has_equal_versions(task: _ComparisonTask) -> bool:
+    """Return whether both versions load without a bag, and no bag needs to be read because they are equal."""
+    definitions = installed_definitions(task.message_folders)
+    logs = _VersionLogs(ProblemLog(str), ProblemLog(str))
+    try:
+        with ProblemLog(str).attached():
+            is_equal = have_equal_programs(_create_versions(task, definitions, None, logs))
+    except RetalisError:
+        # Reported for each bag.
+        return False
+    return is_equal and not logs.has_errors
+
+
 def _compare_bag(task: _ComparisonTask, scratch: str) -> _BagResult:
     """Compare the outputs of both versions for a bag; a bag at a URL is downloaded to ``scratch``."""
     definitions = installed_definitions(task.message_folders)
     problems = ProblemLog(str)
-    # One for each version, so that the errors of the old version precede those of the new one.
-    logs = [ProblemLog(str) for _ in range(2)]
+    logs = _VersionLogs(ProblemLog(str), ProblemLog(str))
     try:
         with problems.attached(), local_copy(task.bag, scratch) as path, MergedBag([path]) as bag:
-            old, new = (
-                Version(folder, partial(_load, folder, definitions, bag, log), log.attached)
-                for folder, log in zip((task.old, task.new), logs)
-            )
             comparison = compare_versions(
-                old,
-                new,
+                *_create_versions(task, definitions, bag, logs),
                 bag,
                 task.moved_within,
                 # The parts of a program with errors are not known.
-                lambda: not (task.is_full or logs[0].errors or logs[1].errors),
+                lambda: not (task.is_full or logs.has_errors),
             )
     except RetalisError as error:
         return _BagResult(task.bag, None, error.message)
@@ -226,10 +242,30 @@ def _compare_bag(task: _ComparisonTask, scratch: str) -> _BagResult:
     return _BagResult(task.bag, comparison._replace(problems=unique_problems))
 
 
-def _load(
-    folder: Path, definitions: Definitions, bag: MergedBag, log: ProblemLog, make_handler: HandlerFactory
-) -> Playback:
-    return Playback(folder, log.add_error, bag=bag, definitions=definitions, make_handler=make_handler)
+class _VersionLogs(NamedTuple):
+    """The log of each version: the versions take turns, and errors of the old one are listed first."""
+
+    old: ProblemLog
+    new: ProblemLog
+
+    @property
+    def has_errors(self) -> bool:
+        """Whether a version has an error."""
+        return bool(self.old.errors or self.new.errors)
+
+
+def _create_versions(
+    task: _ComparisonTask, definitions: Definitions, bag: Optional[MergedBag], logs: _VersionLogs
+) -> Tuple[Version, Version]:
+    """Return both versions of a program; their types are those of a bag, too, if there is one."""
+
+    def load(folder: Path, log: ProblemLog, make_handler: HandlerFactory) -> Playback:
+        return Playback(folder, log.add_error, bag=bag, definitions=definitions, make_handler=make_handler)
+
+    return (
+        Version(task.old, partial(load, task.old, logs.old), logs.old.attached),
+        Version(task.new, partial(load, task.new, logs.new), logs.new.attached),
+    )
 
 
 def _rename_paths(result: _BagResult, revision: Revision) -> _BagResult:

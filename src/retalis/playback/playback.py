@@ -27,6 +27,7 @@ from typing import (
     Any,
     Callable,
     Dict,
+    FrozenSet,
     Iterable,
     Iterator,
     List,
@@ -65,11 +66,18 @@ from ..foundation.errors import (
 from ..foundation.interrupts import check_interrupt, interruptible
 from ..foundation.ros_name_checks import ros1_type_name, topic_fault, type_fault
 from ..messages.action_events import ACTION_EVENTS, find_action_event
+from ..messages.decoder import Decoder
 from ..messages.transform_messages import TRANSFORM_TOPICS
 from ..messages.type_definition import Definition
 from ..messages.type_registry import Definitions
 from ..node.running_program import OutputCallbacks, ProgramContext, RunningProgram, make_event_handler
-from ..node.subscribed_topics import HandlerFactory, MessageProcessing, ReadingOptions, list_endpoints
+from ..node.subscribed_topics import (
+    HandlerFactory,
+    MessageHandler,
+    MessageProcessing,
+    ReadingOptions,
+    list_endpoints,
+)
 from ..node.transport import MessageSource
 from ..prolog.syntax.term_writer import canonical_text
 from ..prolog.terms.types import Term
@@ -204,9 +212,11 @@ class Playback:
             )
         prepare(self.engine)
         self._outputs: List[Output] = []
+        self._make_handler = make_handler
+        self._read_events: Optional[FrozenSet[str]] = None
         self._latched_topics = set(map(self._transport.resolve_topic, topic_file.latched))
         added_topics = [TopicType(topic.topic, ros1_type_name(topic.type)) for topic in topics]
-        self._program = self._create_program(topic_file, added_topics, direct, make_handler)
+        self._program = self._create_program(topic_file, added_topics, direct)
         # Topics that the caller lists must be in the bag; those of `AUTO` need not be.
         listed_topics = direct if isinstance(direct, tuple) else ()
         self._needed_topics = [*topic_file.subscribed, *listed_topics, *added_topics]
@@ -223,11 +233,7 @@ class Playback:
             self._load_program()
 
     def _create_program(
-        self,
-        topic_file: Topics,
-        added_topics: Iterable[TopicType],
-        direct: DirectTopics,
-        make_handler: HandlerFactory,
+        self, topic_file: Topics, added_topics: Iterable[TopicType], direct: DirectTopics
     ) -> RunningProgram:
         """Return the program on the bag.
 
@@ -235,7 +241,6 @@ class Playback:
             topic_file: contents of ``pub_sub.xml``.
             added_topics: topics that override the types of ``pub_sub.xml`` and of direct topics.
             direct: value of ``~direct``.
-            make_handler: returns the functions from messages to events.
         """
         resolve_topic = self._transport.resolve_topic
         added = {resolve_topic(topic.topic): topic for topic in added_topics}
@@ -255,11 +260,39 @@ class Playback:
         return RunningProgram(
             ProgramContext(self._transport, self.definitions, self._reports, topics, kept_direct_topics),
             self.engine,
-            MessageProcessing(make_handler, nullcontext(), skew=self._skew_monitor),
+            MessageProcessing(self._create_handler, nullcontext(), skew=self._skew_monitor),
             # The nodes of a recording may have exchanged texts, which a program may analyze.
             ReadingOptions(0, reserved=(), report_replaced_type=_log_replaced_type),
             OutputCallbacks(self._collect_output, self._report_unpublished, "its outputs are no messages"),
         )
+
+    def limit_events(self, names: FrozenSet[str]) -> None:
+        """Ignore messages whose events have other names than these; call this before the program runs.
+
+        They are not decoded, and only advance the clock, on which the timestamps of later events depend.
+
+        >>> playback = Playback(folder, report=print)
+        >>> playback.limit_events(frozenset(("other",)))
+        >>> with BagReader(folder / "talk.bag") as bag:
+        ...     print(len(list(playback.run(bag))))
+        0
+        """
+        self._read_events = names
+
+    def _create_handler(self, decoder: Decoder, topic: str, source: MessageSource) -> MessageHandler:
+        """Return the handler of messages; see `HandlerFactory`."""
+        if self._read_events is None or decoder.functor.name in self._read_events:
+            return self._make_handler(decoder, topic, source)
+        stamp, clock = decoder.stamp, self.clock
+
+        def advance_clock(data: bytes) -> Optional[Tuple[Term, Optional[int]]]:
+            instant = stamp(data)
+            # As `EventInput.dispatch_message`, which assigns a timestamp to an event without one.
+            is_done = clock.stamp_at_once() is not None if instant is None else clock.is_quiet()
+            # If alarms are due, or time went back, the engine has to process an event.
+            return None if is_done else (decoder.lazy(data), instant)
+
+        return advance_clock
 
     def _load_program(self) -> None:
         """Load the program, and report each of its errors."""

@@ -12,11 +12,9 @@ from typing import (
     Callable,
     ContextManager,
     Dict,
-    FrozenSet,
     Iterator,
     List,
     NamedTuple,
-    Optional,
     Sequence,
     Set,
     Tuple,
@@ -49,21 +47,10 @@ class SharedTerms:
 
     def __init__(self) -> None:
         self._terms: Dict[Callable[[bytes], Term], Dict[int, Tuple[bytes, Term]]] = {}
-        self._decoded_names: Optional[FrozenSet[str]] = None
-
-    def limit_decoding(self, event_names: FrozenSet[str]) -> None:
-        """Decode only messages whose events have one of some names; call this before the playbacks run.
-
-        The other messages become events all the same, because the timestamps of later events depend on them, but
-        nothing may read their slots.
-        """
-        self._decoded_names = event_names
 
     def make_handler(self, decoder: Decoder, topic: str, source: MessageSource) -> MessageHandler:
         """Return a function from a message to its event and the event's instant; see `HandlerFactory`."""
         decode, stamp = decoder.decode, decoder.stamp
-        if self._decoded_names is not None and decoder.functor.name not in self._decoded_names:
-            return lambda data: (decoder.lazy(data), stamp(data))
         if decoder.plain is not None:
             return make_event_handler(decoder, topic, source)
         terms = self._terms.setdefault(decode, {})

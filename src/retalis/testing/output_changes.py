@@ -36,7 +36,13 @@ from ..playback.shared_pass import SharedRun, SharedTerms, run_together
 from ..prolog.syntax.term_reader import read_term
 from ..prolog.syntax.term_writer import canonical_text
 from ..prolog.terms.timestamps import SECOND
-from .program_difference import Extent, ProgramVersion, find_difference, reduce_to_part
+from .program_difference import (
+    Extent,
+    ProgramVersion,
+    find_difference,
+    have_equal_files,
+    reduce_to_part,
+)
 
 MOVED_WITHIN_SECONDS = 10.0
 """Greatest difference in seconds between the times of an output that has moved, unless chosen otherwise."""
@@ -155,7 +161,7 @@ def compare_versions(
     runs = [version.start(terms) for version in (old, new)]
     extent = Extent.WHOLE
     if can_reduce():
-        extent = _reduce((old, new), runs, bag, terms)
+        extent = _reduce((old, new), runs, bag)
     outputs: Tuple[List[PlainOutput], List[PlainOutput]] = ([], [])
     if extent in (Extent.PART, Extent.WHOLE):
         for number, output in run_together(runs, bag, terms):
@@ -167,7 +173,16 @@ def compare_versions(
     return Comparison(tuple(changes), equal_count, bag.start, extent)
 
 
-def _reduce(versions: Iterable[Version], runs: Sequence[SharedRun], bag: Bag, terms: SharedTerms) -> Extent:
+def have_equal_programs(versions: Iterable[Version]) -> bool:
+    """Load two versions, and return whether their files are equal, so that no bag has to be read."""
+    loaded = []
+    for version in versions:
+        playback = version.start(SharedTerms()).playback
+        loaded.append(ProgramVersion(version.folder, playback.engine, playback.definitions))
+    return have_equal_files(loaded[0], loaded[1])
+
+
+def _reduce(versions: Iterable[Version], runs: Sequence[SharedRun], bag: Bag) -> Extent:
     """Reduce two loaded versions to the parts that can differ."""
     old, new = (
         ProgramVersion(version.folder, run.playback.engine, run.playback.definitions)
@@ -177,7 +192,7 @@ def _reduce(versions: Iterable[Version], runs: Sequence[SharedRun], bag: Bag, te
     if difference.extent is Extent.PART:
         for run, part in zip(runs, difference.parts):
             reduce_to_part(run.playback.engine, part)
-        terms.limit_decoding(difference.event_names)
+            run.playback.limit_events(difference.event_names)
     return difference.extent
 
 

@@ -76,7 +76,7 @@ from ..playback.bag_transport import list_topic_names
 from ..prolog.builtins.builtin_registry import ENTRIES
 from ..prolog.terms.list_terms import list_items
 from ..prolog.terms.term_traversal import term_key
-from ..prolog.terms.types import CompoundTerm, Functor, Term, functor
+from ..prolog.terms.types import Atom, CompoundTerm, Functor, String, Term, deref, functor
 
 _FOLLOWED_MODULES = frozenset(
     f"retalis.prolog.builtins.{name}"
@@ -138,6 +138,8 @@ _FILE_PREDICATES = frozenset(
 )
 """Names of predicates that read files or the environment, which may differ although the program is equal."""
 
+_FORMAT = functor("format", 3)
+_TEXT_SINKS = frozenset(functor(name, 1) for name in ("atom", "string", "codes", "chars"))
 _EVENT_AT_PRESENT = functor("event", 1)
 _REV = "rev"
 
@@ -168,7 +170,7 @@ class VersionPart(NamedTuple):
 
 
 class VersionDifference(NamedTuple):
-    """VersionDifference between two versions for a bag.
+    """Difference between two versions for a bag.
 
     Attributes:
         extent: what has to be run.
@@ -370,7 +372,7 @@ class ProgramVersion:
                         stack += self._bodies[key]
                 elif key in NEW_EVENT and key is not _EVENT_AT_PRESENT:
                     raised.add(_name_of(raised_event(_as_compound(call.term))))
-                elif not _is_followed(key):
+                elif not (_is_followed(key) or _formats_text(call.term)):
                     raise _Unfollowed
         return frozenset(predicates), frozenset(raised)
 
@@ -395,6 +397,16 @@ def _is_followed(key: Optional[Functor]) -> bool:
     entry = ENTRIES.get((key.name, key.arity))
     is_in_module = entry is not None and entry.function.__module__ in _FOLLOWED_MODULES
     return key.name in _FOLLOWED_NAMES or (is_in_module and key.name not in _UNFOLLOWED_BUILTINS)
+
+
+def _formats_text(goal: Any) -> bool:
+    """Return whether a goal is ``format/3`` that creates a text, without directives that call goals."""
+    if goal.__class__ is not tuple or goal[0] is not _FORMAT:
+        return False
+    sink, text = key_of(goal[1]), deref(goal[2])
+    template = text.name if isinstance(text, Atom) else text.text if isinstance(text, String) else "~@"
+    directives = (part.lstrip("0123456789*")[:1] for part in template.split("~")[1:])
+    return sink in _TEXT_SINKS and not any(letter in ("p", "@") for letter in directives)
 
 
 def _mentions(term: Term, keys: FrozenSet[Functor]) -> bool:
@@ -423,10 +435,15 @@ def _awaited_names(pattern: Pattern) -> FrozenSet[str]:
     return names
 
 
+def have_equal_files(old: ProgramVersion, new: ProgramVersion) -> bool:
+    """Return whether the files of two versions are equal, and their results depend on no further files."""
+    key = old.source_key()
+    return key is not None and key == new.source_key()
+
+
 def find_difference(old: ProgramVersion, new: ProgramVersion, bag: Bag) -> VersionDifference:
     """Return what has to be run of two versions to find all outputs that differ over a bag."""
-    old_key = old.source_key()
-    if old_key is not None and old_key == new.source_key():
+    if have_equal_files(old, new):
         return VersionDifference(Extent.EQUAL)
     if (
         not (old.is_followed and new.is_followed)
