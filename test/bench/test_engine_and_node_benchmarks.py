@@ -64,6 +64,12 @@ def test_offline_benchmark_processes_bag(bench: Any, capsys: pytest.CaptureFixtu
     assert "messages" in capsys.readouterr().out
 
 
+@pytest.mark.slow
+def test_benchmark_of_versions_runs_each_command(bench: Any, capsys: pytest.CaptureFixture[str]) -> None:
+    assert bench("version_diff").main(["--seconds", "0.5", "--runs", "1"]) == 0
+    assert capsys.readouterr().out.count(" s\n") == 7
+
+
 def test_runs_of_nodes_are_summarized_by_median(bench: Any) -> None:
     live_node = bench("live_node")
     runs = [

@@ -250,7 +250,7 @@ class _VersionLogs(NamedTuple):
 
     @property
     def has_errors(self) -> bool:
-        """Whether a version has an error."""
+        """True if a version has an error."""
         return bool(self.old.errors or self.new.errors)
 
 
