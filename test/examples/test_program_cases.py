@@ -41,6 +41,9 @@ CALCULATIONS = {
 }
 """Beginnings of the conditions of a program that are never false, because they only calculate values of a rule."""
 
+PATTERNS = ROOT / "examples" / "patterns"
+"""Folder with cases that have their rules in the file."""
+
 NAME = re.compile(r"^  - name: (.+)$", re.MULTILINE)
 
 pytestmark = pytest.mark.slow
@@ -130,3 +133,18 @@ def test_outputs_are_forbidden_by_a_case(program: Path, runs: ProgramRuns) -> No
         sequence.relation == "none" or (sequence.relation == "exactly" and not sequence.items)
         for sequence in sequences
     )
+
+
+@pytest.mark.parametrize("path", list_files(PATTERNS), ids=lambda path: path.stem)
+def test_cases_of_patterns_pass(path: Path, definitions: Definitions) -> None:
+    cases = read_case_file(path)
+    results = dict(run_cases(cases, definitions, jobs=1))
+    assert len(results) == len(cases) > 0
+    assert [failure for result in results.values() for failure in result.failures] == []
+
+
+def test_table_lists_files_of_patterns() -> None:
+    links = re.findall(
+        r"^\| \[\S+\]\(tests/(\S+)\)", (PATTERNS / "README.md").read_text("utf-8"), re.MULTILINE
+    )
+    assert sorted(links) == [path.name for path in list_files(PATTERNS)]
