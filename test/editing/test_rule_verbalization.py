@@ -157,6 +157,19 @@ def test_groups_of_steps_are_indented() -> None:
     ]
 
 
+def test_timed_out_steps_have_words() -> None:
+    text = (
+        "x(N) <- aggregate(count, v(V), N, timed_out(steps([low, high], [after_match(skip_to_next)]), 90))."
+    )
+    assert reading(text)[1:] == [
+        "- `v(V)` has begun these steps, and not completed them within 1 min 30 s; `N` is the number of `v(V)` in "
+        "them so far",
+        "  - `low`: once",
+        "  - `high`: once",
+        "  - the next match begins at the event after the first one of a match",
+    ]
+
+
 def test_option_of_steps_has_a_line() -> None:
     text = "x <- aggregate(count, v(V), _, steps([low, high], [after_match({})]))."
     assert reading(text.format("skip_to_last(high)"))[-1] == (

@@ -109,6 +109,12 @@ def test_groups_of_steps_are_shown() -> None:
     ]
 
 
+def test_timed_out_steps_are_shown() -> None:
+    rule = "o(N) <- aggregate(count, v(T), N, timed_out(steps([a, b where T > 5]), 10))."
+    lines = explanation_lines(rule, [("v(1)", 1), ("v(9)", 2)], "o(_)")
+    assert lines[0] == "- aggregate over timed_out(steps([a,(b where T > 5)]),10.0): no match has timed out"
+
+
 def test_incomplete_step_shows_event_count() -> None:
     lines = explanation_lines(STEPS, [("a(1,1)", 1)], "o(_)")
     assert lines[2] == "- step up(2) where T > 0: took 1 event of 2"

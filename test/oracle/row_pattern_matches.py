@@ -5,7 +5,7 @@ A step is the term ``step(Name, Least, Most, Mode, Where, Goal, Until)``: Most i
 ``group(Parts, Least, Most, Mode)``, ``alternatives(Parts)`` or ``permutation(Parts)``.
 """
 
-from typing import Any, Callable, List, NamedTuple, Optional, Sequence, Tuple
+from typing import Any, Callable, Iterator, List, NamedTuple, Optional, Sequence, Tuple
 
 from retalis import Atom, Term, Var, atom, list_items, make_list
 
@@ -93,6 +93,16 @@ def _next_position(match: Assignment, skip: str) -> int:
     return max(begin + 1, min(places) if strategy == "skip_to_first" else max(places))
 
 
+def timed_out_match(term: Term, items: Sequence[Bindings], position: int) -> Optional[Assignment]:
+    """Return the preferred match from an item that later items would decide, if none is complete; else None."""
+    trial = Trial(steps_of(term), items, list_items(term))
+    if trial.begin(position) != OPEN:
+        return None
+    assigned = trial.open_match
+    trial.is_ended = True
+    return assigned if trial.begin(position) in (None, OPEN) else None
+
+
 class Trial:
     """Search for a match that begins at an item.
 
@@ -105,6 +115,10 @@ class Trial:
         self.items = items
         self.numbers = {step.name: number for number, step in enumerate(steps)}
         self.parts = tuple(parts)
+        self.open_match: Assignment = ()
+        """The match that was open when the items ended."""
+        self.is_ended = False
+        """Whether no items follow, so that a match is open only if it would complete in any case."""
 
     def begin(self, position: int) -> Any:
         """Return the first match in order, None if there is none, `OPEN` if later events decide."""
@@ -164,7 +178,11 @@ class Trial:
         if not choices:
             return None
         if position == len(self.items):
-            return OPEN
+            self.open_match = assigned
+            is_certain = all(
+                self.steps[step].later and self.steps[step].until is None for step in self._reachable(choices)
+            )
+            return OPEN if is_certain or not self.is_ended else None
         open_choices = [choice for choice in choices if not self._is_over(choice[0], position, assigned)]
         fitting = [choice for choice in open_choices if self._fits(choice[0], position, assigned)]
         for step, rest in fitting:
@@ -179,6 +197,22 @@ class Trial:
             for candidates in (open_choices, waiting)
         ]
         return self._try_steps(later, position + 1, assigned, unused)
+
+    def _reachable(self, choices: List[Any]) -> Iterator[int]:
+        """Yield the steps that may match later items."""
+        for step, rest in choices:
+            yield step
+            for part in rest:
+                if part[0].__class__ is int:
+                    yield part[0]
+                elif part[0] == "group":
+                    is_over = part[1][3].__class__ is int and part[2] >= part[1][3]
+                    yield from [] if is_over else self._steps_in(part[1])
+                else:
+                    yield from self._steps_in(part)
+
+    def _steps_in(self, part: Any) -> List[int]:
+        return [self.numbers[step.name] for step in steps_of(make_list([part]))]
 
     def _fits(self, step: int, position: int, assigned: Assignment) -> bool:
         goal = self.steps[step].goal

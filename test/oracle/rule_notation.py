@@ -276,6 +276,8 @@ def write_pattern(node: Pattern, names: Names) -> str:  # noqa: C901 - a case fo
         kinds = ",".join(_kinds(node, names))
         if node.window == "steps":
             window = _steps(node, names)
+            if node.span:
+                window = f"timed_out({window},{write_seconds(node.span)})"
         else:
             window = WINDOWS[node.window].format(write_seconds(node.span), write_seconds(node.step))
         return f"aggregate([{kinds}],{inner(node.collected)},{write_term(node.results, names)},{window})"

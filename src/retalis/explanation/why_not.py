@@ -427,7 +427,7 @@ class WhyNot:
         reason = self._format_other_results(results) or "no window has ended"
         # Without any result, the steps show how far the best candidate sequence got.
         if pattern.window.kind == "steps" and not results:
-            reason = "no events took all steps"
+            reason = "no match has timed out" if pattern.window.span else "no events took all steps"
             parts += self._evaluate_steps(
                 pattern.window.steps, window.progress, pattern.window.structure is None
             )

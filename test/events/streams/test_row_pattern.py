@@ -8,12 +8,13 @@ from hypothesis import given
 from hypothesis import settings as example_settings
 from hypothesis import strategies as st
 from oracle.patterns import Leaf, Rule, Windowed
-from oracle.row_pattern_matches import PAST_LAST, STAMPS, decided_matches
+from oracle.row_pattern_matches import PAST_LAST, STAMPS, decided_matches, steps_of, timed_out_match
 from oracle.rule_notation import write_rule
 from oracle.strategies import Generator
 from recording_reports import RecordingReports
 
 from retalis import Engine, Var, atom, functor, make_list
+from retalis.prolog.terms.timestamps import SECOND
 
 KEY, VALUE, RESULT, STARTS = Var(), Var(), Var(), Var()
 READING, OUTPUT_EVENT = functor("reading", 2), functor("found", 3)
@@ -66,6 +67,62 @@ def outputs_of_rule(rule: Any, readings: Any, restore_before: Any = None) -> Lis
     return [event for event in events if event.startswith("found")]
 
 
+def timeouts_of_rule(rule: Any, readings: Any, restore_before: Any = None) -> Any:
+    """Return the timed-out matches of a rule with their ends in seconds; see `outputs_of_rule`."""
+    events: List[Any] = []
+
+    def record_events(engine: Engine) -> Any:
+        engine.on_event(lambda term, start, end: events.append((engine.show(term), end / SECOND)))
+        return engine
+
+    engine = record_events(Engine())
+    engine.load(rules=rule)
+    for position, (key, value) in enumerate(readings):
+        if position == restore_before:
+            engine = record_events(Engine.restore(engine.snapshot()))
+        engine.event(f"reading({key},{value})", start_of(position, value), position)
+    engine.event("end", 100)
+    return sorted(event for event in events if event[0].startswith("found"))
+
+
+def expected_timeouts(steps: Any, readings: Any, span: int) -> Any:
+    """Return the timed-out matches of all starts by the oracle."""
+    names = [step.name for step in steps_of(steps)]
+    outputs: List[Any] = []
+    for begin, (key, first_value) in enumerate(readings):
+        deadline = start_of(begin, first_value) + span
+        positions = [
+            position
+            for position, (other, _) in enumerate(readings)
+            if other == key and begin <= position < deadline
+        ]
+        items = [
+            {
+                VALUE: readings[position][1],
+                STAMPS["t1"]: start_of(position, readings[position][1]),
+                STAMPS["t2"]: position,
+            }
+            for position in positions
+        ]
+        match = timed_out_match(steps, items, 0)
+        if match is not None:
+            columns = [
+                ",".join(str(items[place][VALUE]) for place, _ in match),
+                ",".join(names[step] for _, step in match),
+            ]
+            outputs.append((f"found({key},[{columns[0]}],[{columns[1]}])", deadline))
+    return sorted(outputs)
+
+
+def timeout_rule_of(steps: Any, span: int) -> str:
+    """Return the rule that emits the values and step names of each timed-out match with their key."""
+    values, results = make_list([VALUE, atom("step")]), make_list([RESULT, STARTS])
+    window = Windowed(
+        "list list", Leaf(READING(KEY, VALUE)), values, results, "steps", span, 0, steps, "skip_to_next"
+    )
+    return write_rule(Rule(OUTPUT_EVENT(KEY, RESULT, STARTS), window))
+
+
 READINGS = st.lists(st.tuples(st.sampled_from("aab"), st.integers(0, 3)), max_size=14)
 
 
@@ -88,6 +145,18 @@ def test_outputs_equal_those_of_exhaustive_search(drawn: Any, readings: Any, res
     expected = expected_outputs(steps, readings, skip)
     assert outputs_of_rule(rule, readings) == expected, rule
     assert outputs_of_rule(rule, readings, restore_before) == expected, rule
+
+
+@pytest.mark.slow
+@example_settings(max_examples=40)
+@given(STEPS, READINGS, st.integers(2, 6), st.integers(0, 14))
+def test_timeouts_equal_those_of_exhaustive_search(
+    drawn: Any, readings: Any, span: int, restore_before: int
+) -> None:
+    rule = timeout_rule_of(drawn[0], span)
+    expected = expected_timeouts(drawn[0], readings, span)
+    assert timeouts_of_rule(rule, readings) == expected, rule
+    assert timeouts_of_rule(rule, readings, restore_before) == expected, rule
 
 
 def test_postponed_matches_are_restored() -> None:

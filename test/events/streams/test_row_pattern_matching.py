@@ -1,9 +1,13 @@
 """Row patterns in rules: matches, limits and errors."""
 
-import pytest
-from events.program_runner import ProgramRunner, outputs_of
+from typing import Any, List
 
-from retalis import ProgramErrors
+import pytest
+from events.program_runner import ProgramRunner, format_events, outputs_of
+
+from retalis import ProgramErrors, StreamClock
+from retalis.prolog.terms.timestamps import from_seconds
+from retalis.prolog.terms.types import functor_name
 
 RISING = "up(M) <- aggregate(count, r(M,V), _, steps([low where V < 3, high where V >= 3]))."
 STARS = "s(L) <- aggregate(list(X), e(X), L, steps([{}]))."
@@ -362,3 +366,105 @@ def test_deeply_nested_groups_are_refused() -> None:
 def test_skip_to_step_of_repeated_group_is_accepted() -> None:
     rule = OVERLAPS.format("group([a where X < 5], 2)", "skip_to_last(a)")
     assert outputs_of(rule, "e(1)@0 e(2)@1 e(3)@2") == "s([1,2])@0-1 s([2,3])@1-2"
+
+
+TIMEOUTS = "s(L, N) <- aggregate([list(X), list(step)], e(X), [L, N], timed_out(steps([{}]{}), 5))."
+
+
+def timeouts_of(program: ProgramRunner, stream: str) -> str:
+    """Return the events ``s`` that a program derives, those of alarms included."""
+    derived: List[Any] = []
+    clock: Any = program.engine.clock
+    for item in stream.split():
+        clock.move_to(from_seconds(float(item.rpartition("@")[2])))
+        derived += program.events
+        program.feed(item)
+        derived += program.events
+        program.events.clear()
+    return format_events([event for event in derived if functor_name(event[0]) == "s"])
+
+
+def timeout_runner(rule: str, flags: Any = ()) -> ProgramRunner:
+    """Return a runner of a program whose clock follows its events."""
+    return ProgramRunner(rule, flags, clock=StreamClock())
+
+
+@pytest.mark.parametrize(
+    ("steps", "stream", "expected"),
+    [
+        ("a, b where X > 5", "e(1)@1 e(9)@3 x@9", ""),
+        ("a, b where X > 5", "e(1)@1 x@9", "s([1],[a])@1-6"),
+        ("a, b where X > 5", "e(1)@1 e(2)@3 x@9", "s([2],[a])@3-8"),
+        ("a where X < 5, later(b where X > 5)", "e(1)@1 e(2)@4 e(3)@5 x@20", "s([1],[a])@1-6"),
+        # an event at the deadline comes too late
+        ("a, b where X > 5", "e(1)@1 e(9)@6 x@20", "s([1],[a])@1-6 s([9],[a])@6-11"),
+        # the match is complete, and waits for a further event of the last step
+        ("a, b(1, many) where X > 5", "e(1)@1 e(9)@3 x@9", ""),
+        (
+            "a, later(b(2) where X > 5), later(c where X < 0)",
+            "e(1)@1 e(9)@2 e(3)@3 x@9",
+            "s([1,9],[a,b])@1-6",
+        ),
+    ],
+)
+def test_incomplete_match_times_out(steps: str, stream: str, expected: str) -> None:
+    assert timeouts_of(timeout_runner(TIMEOUTS.format(steps, "")), stream) == expected
+
+
+def test_each_start_times_out_with_overlaps() -> None:
+    rule = TIMEOUTS.format("a where X < 5, later(b where X > 5)", ", [after_match(skip_to_next)]")
+    assert timeouts_of(timeout_runner(rule), "e(1)@1 e(2)@4 e(8)@7 x@20") == "s([1],[a])@1-6"
+    assert timeouts_of(timeout_runner(rule), "e(1)@1 e(2)@4 x@20") == "s([1],[a])@1-6 s([2],[a])@4-9"
+
+
+def test_timeouts_of_keys_are_separate() -> None:
+    rule = "s(K) <- aggregate(count, e(K, X), _, timed_out(steps([a, b where X > 5]), 5))."
+    assert timeouts_of(timeout_runner(rule), "e(k,1)@1 e(m,1)@2 e(k,9)@3 x@20") == "s(m)@2-7"
+
+
+def test_event_without_alarm_before_it_times_out_match_of_its_key() -> None:
+    """With a delay of the watermark, events after the deadline arrive before the alarm."""
+    program = timeout_runner(TIMEOUTS.format("a, b where X > 5", ""), [("watermark_delay", "3")])
+    assert timeouts_of(program, "e(1)@1 e(9)@7") == "s([1],[a])@1-6"
+    assert timeouts_of(program, "x@20") == "s([9],[a])@7-12"
+
+
+def test_deadlines_of_failed_matches_are_removed() -> None:
+    program = timeout_runner(TIMEOUTS.format("a where X < 5, b where X > 5", ""))
+    timeouts_of(program, " ".join(f"e(1)@1.{number:04}" for number in range(400)))
+    (rule,) = program.engine.rules.rules
+    (deadlines,) = [
+        sequence
+        for node in rule.nodes
+        if hasattr(node, "stream")
+        for sequence in vars(node.stream).values()
+        if sequence.__class__ is list and sequence and sequence[0].__class__ is tuple
+    ]
+    assert 1 <= len(deadlines) <= 2 * rule.match_count + 64
+
+
+@pytest.mark.parametrize("flag", ["revision_flag", "etalis_justification"])
+def test_flags_keep_timeouts(flag: str) -> None:
+    assert (
+        timeouts_of(timeout_runner(TIMEOUTS.format("a, b where X > 5", ""), [flag]), "e(1)@1 x@9")
+        == "s([1],[a])@1-6"
+    )
+
+
+def test_retraction_of_completing_event_times_out_match() -> None:
+    program = timeout_runner(TIMEOUTS.format("a where X < 5, b where X > 5", ""), ["revision_flag"])
+    assert timeouts_of(program, "e(1)@1 e(9)@3") == ""
+    assert timeouts_of(program, "rev(e(9))@3 x@9") == "s([1],[a])@1-6"
+
+
+@pytest.mark.parametrize(
+    ("window", "message"),
+    [
+        ("timed_out(steps([a, b]), 0)", "timed_out needs a positive number of seconds"),
+        ("timed_out(last(5), 5)", r"timed_out needs steps\(...\) and a number of seconds"),
+        ("timed_out(steps([a, b]))", r"or timed_out\(steps\(...\), Seconds\)"),
+    ],
+)
+def test_invalid_timeout_is_refused(window: str, message: str) -> None:
+    with pytest.raises(ProgramErrors, match=message):
+        ProgramRunner(f"s(L) <- aggregate(list(X), e(X), L, {window}).")

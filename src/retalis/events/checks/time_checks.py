@@ -631,6 +631,9 @@ def _has_unbounded_keys(node: Pattern, definition: RuleDefinition) -> bool:
         return node.operator == "change" and any(variables(term) for term in node.keys)
     if not isinstance(node, WindowPattern) or not _has_lasting_keys(node.window):
         return False
+    # A match that is not complete in time ends the state of its key.
+    if node.window.kind == "steps" and node.window.span:
+        return False
     measured = [value for value in node.values if value is not None]
     operator_counts = occurrences([*measured, *node.window.navigated_vars], node.collected)
     head = [] if definition.head is None else [definition.head]

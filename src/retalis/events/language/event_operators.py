@@ -562,6 +562,14 @@ EVENT_OPERATORS: Tuple[EventOperator, ...] = (
             ),
             PatternReading("aggregate(K,Q,R,steps(S))", "Q happened by these steps; R is K in them"),
             PatternReading("aggregate(K,Q,R,steps(S,O))", "Q happened by these steps; R is K in them"),
+            PatternReading(
+                "aggregate(K,Q,R,timed_out(steps(S),N))",
+                "Q has begun these steps, and not completed them within N seconds; R is K in them so far",
+            ),
+            PatternReading(
+                "aggregate(K,Q,R,timed_out(steps(S,O),N))",
+                "Q has begun these steps, and not completed them within N seconds; R is K in them so far",
+            ),
         ),
     ),
     EventOperator(

@@ -190,7 +190,8 @@ class WindowSpec(NamedTuple):
             ``every`` for windows of ``span`` ns that start every ``step`` ns, ``first`` for windows that start with
             a match, ``batch`` for tumbling windows of ``max_count`` matches, ``session`` for windows that end ``gap``
             ns after their last match, ``steps`` for row patterns, ``held`` for values that last until the next match.
-        span: length in ns.
+        span: length in ns; for ``steps``, ns after which a match that is not complete is emitted in place of complete
+            ones; 0 if complete ones are.
         step: for ``every`` and ``held``, ns from one start to the next one; 0 if each match emits a result.
         max_count: number of matches.
         gap: for ``session``, ns without a match that end a window.

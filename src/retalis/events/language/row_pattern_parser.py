@@ -552,6 +552,11 @@ def insert_stamps(term: Term) -> Any:
     return (term[0], *map(insert_stamps, term[1:])) if term.__class__ is tuple else term
 
 
+def is_step_name(term: Term) -> bool:
+    """Return whether a measured term is the name of the step of a row (CLASSIFIER)."""
+    return term.__class__ is Atom and functor_name(term) == "step"
+
+
 def uses_stamps(pattern: WindowPattern) -> bool:
     """Return whether the measures or conditions of a row pattern use the stamps of its rows."""
     names = [step.name for step in pattern.window.steps]

@@ -74,11 +74,13 @@ CreateError = Callable[..., RuleError]
 _WINDOW_NOTATIONS = (
     "last(Seconds), last(N, events), last(Seconds, every(Seconds)), every(Seconds), every(Seconds, first), "
     "every(N, events), running(every(...)), session(Seconds), session(Seconds, max(Seconds)), held(Window), "
-    "held(Window, max(Seconds)), steps([Step, ...]), or steps([Step, ...], [Option, ...])"
+    "held(Window, max(Seconds)), steps([Step, ...]), steps([Step, ...], [Option, ...]), "
+    "or timed_out(steps(...), Seconds)"
 )
 
 
-_WINDOW_NAMES = frozenset(("last", "every", "running", "session", "held", "steps"))
+_TIMED_OUT = functor("timed_out", 2)
+_WINDOW_NAMES = frozenset(("last", "every", "running", "session", "held", "steps", _TIMED_OUT.name))
 _STEP_MEASURE_NAME = "of"
 _HELD = "held"
 _HELD_NOTATION = "held needs last(Seconds), every(Seconds) or last(Seconds, every(Seconds))"
@@ -333,6 +335,12 @@ def _parse_window_term(
     name = window[0].name if window.__class__ is tuple else ""
     if name == "steps" and len(window) in (2, 3):
         return parse_row_pattern(reader, window, pattern_variables)
+    if name == _TIMED_OUT.name and len(window) == 3:
+        steps: Any = deref(window[1])
+        if steps.__class__ is not tuple or steps[0].name != "steps":
+            raise reader.create_error("timed_out needs steps(...) and a number of seconds", window, 1)
+        row_pattern = _parse_window_term(reader, steps, term, pattern_variables)
+        return row_pattern._replace(span=parse_seconds(name, window, 2, reader.create_error))
     if name == "running" and len(window) == 2:
         tumbling = _parse_window_term(reader, deref(window[1]), term, pattern_variables)
         # Sliding windows and row patterns emit at each match in any case, and hopping windows overlap.
@@ -480,7 +488,8 @@ def window_term(window: WindowSpec, to_seconds: Callable[[int], float] = timesta
         to_seconds: converts nanoseconds to the numbers in the term.
     """
     if window.kind == "steps":
-        return row_pattern_term(window)
+        row_pattern = row_pattern_term(window)
+        return _TIMED_OUT(row_pattern, to_seconds(window.span)) if window.span else row_pattern
     every, every_with_option = functor("every", 1), functor("every", 2)
     span = to_seconds(window.span)
     if window.kind == "last":

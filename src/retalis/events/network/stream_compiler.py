@@ -35,7 +35,7 @@ from ...prolog.syntax.term_writer import write_term
 from ...prolog.terms.list_terms import make_list
 from ...prolog.terms.term_traversal import positions, resolve, variables
 from ...prolog.terms.timestamps import MAX_TIMESTAMP, SECOND
-from ...prolog.terms.types import Atom, Term, Values, Var
+from ...prolog.terms.types import Atom, Term, Values, Var, atom
 from ...prolog.terms.unification import undo, unify
 from ..dispatch.matcher_compiler import compile_builder
 from ..fused.fused_window import FusedWindow, has_fused_measures
@@ -60,6 +60,7 @@ from ..language.row_pattern_parser import (
     ROW_START,
     RowNavigation,
     insert_stamps,
+    is_step_name,
     split_condition,
     uses_stamps,
 )
@@ -72,7 +73,7 @@ from ..streams.absence_timeout import AbsenceTimeout, ComputedAbsenceTimeout, Co
 from ..streams.aggregates import AGGREGATES
 from ..streams.held_window import HELD_AGGREGATES, HeldHoppingWindow, HeldSlidingWindow
 from ..streams.rate_operators import RATE_OPERATORS
-from ..streams.row_pattern import RowPatternWindow
+from ..streams.row_pattern import RowPatternWindow, StepClassifier
 from ..streams.row_pattern_automaton import (
     SKIP_PAST_LAST,
     WHOLE_MATCH,
@@ -84,6 +85,7 @@ from ..streams.row_pattern_automaton import (
     StepTest,
     TestedAggregate,
 )
+from ..streams.row_pattern_timeouts import RowPatternTimeouts
 from ..streams.session_window import SessionWindow
 from ..streams.stream_operators import StreamElement, StreamOperator
 from ..streams.windows import (
@@ -333,11 +335,18 @@ def compile_window_spec(
         element_vars = [*(None for _ in measured_terms), *navigated_vars]
         nfa = compile_row_pattern(window, element_vars, evaluators.compile_test)
         skip = window.skip or RowPatternSkip(SKIP_PAST_LAST)
+        classifier = StepClassifier(
+            [atom(step.name) for step in window.steps],
+            [position for position, term in enumerate(measured_terms) if is_step_name(term)],
+        )
+        arguments = (make_accumulators, window_pattern.scopes, nfa, skip, classifier)
         return StreamNodeSpec(
-            lambda options: RowPatternWindow(make_accumulators, window_pattern.scopes, nfa, skip),
+            lambda options: (
+                RowPatternTimeouts(*arguments, window.span) if window.span else RowPatternWindow(*arguments)
+            ),
             key_and_values,
             build_match_values,
-            False,
+            bool(window.span),
             _LATE_FOR_WINDOW,
             any(variable.tests or variable.until for variable in nfa.steps),
             uses_stamps=has_stamps,

@@ -22,10 +22,10 @@ partition; a partition without elements for that time is dropped as a whole.
 
 from collections import OrderedDict, deque
 from operator import itemgetter
-from typing import Callable, Deque, Dict, Hashable, List, NamedTuple, Optional, Sequence, Tuple
+from typing import Callable, Container, Deque, Dict, Hashable, List, NamedTuple, Optional, Sequence, Tuple
 
 from ...prolog.terms.timestamps import BEFORE_ALL_INSTANTS
-from ...prolog.terms.types import Values
+from ...prolog.terms.types import Term, Values
 from ...serialization.field_types import COUNT, INSTANT, FieldType, integer, optional, sequence_of, tuple_of
 from ...serialization.state_fields import StateFields, constraint, field, rows_of
 from .aggregates import Accumulator
@@ -86,6 +86,28 @@ _StepAssignments = Tuple[Tuple[StreamElement, int], ...]
 """Elements with the steps that accepted them."""
 
 
+class StepClassifier(NamedTuple):
+    """Names of steps as measured values (CLASSIFIER).
+
+    Attributes:
+        names: terms of the names of the steps.
+        positions: indices in `StreamElement.values` of the values that are names.
+    """
+
+    names: Sequence[Term]
+    positions: Container[int]
+
+    def classify(self, element: StreamElement, step: int) -> StreamElement:
+        """Return a copy of an element with the name of its step."""
+        values = [
+            self.names[step] if position in self.positions else value
+            for position, value in enumerate(element.values)
+        ]
+        copy = StreamElement(element.match, element.start, element.end, element.key_values, tuple(values))
+        copy.order = element.order
+        return copy
+
+
 class _MatchedElements(NamedTuple):
     """Elements of a match as a linked list, the newest first; states with a common prefix share it."""
 
@@ -94,7 +116,7 @@ class _MatchedElements(NamedTuple):
     previous: "Optional[_MatchedElements]"
 
 
-class _CompletedMatch(NamedTuple):
+class CompletedMatch(NamedTuple):
     """Completed match that waits until no preferred state is left: its elements, and the order of the first one."""
 
     matched: _MatchedElements
@@ -213,14 +235,14 @@ class PartitionState:
         self.states = states
         self.counted_state_count = 0
         self.reference_time = BEFORE_ALL_INSTANTS
-        self.completed: Deque[_CompletedMatch] = deque()
+        self.completed: Deque[CompletedMatch] = deque()
 
     def first_start(self) -> Optional[int]:
         """Return the order of the first element of the most preferred state; None if no match has begun."""
         state = self.states[0]
         return None if state.matched is None else state.start_order
 
-    def add_completed(self, completed: _CompletedMatch) -> None:
+    def add_completed(self, completed: CompletedMatch) -> None:
         """Add a waiting match in the order of starts."""
         matches = self.completed
         position = len(matches)
@@ -272,7 +294,7 @@ class _Successors:
     def __init__(self) -> None:
         self.states: List[ComputationState] = []
         self.largest_counts: Dict[Hashable, int] = {}
-        self.completed: List[_CompletedMatch] = []
+        self.completed: List[CompletedMatch] = []
         self.settled_starts: List[int] = []
         self.start_order = 0
         self.same_start_count = 0
@@ -292,6 +314,7 @@ class RowPatternWindow(StreamOperator):
         scopes: for each measure the step that it is restricted to, or None.
         nfa: the automaton.
         skip: where the search for the next match begins.
+        classifier: names of steps as measured values.
     """
 
     STATE = StateFields(
@@ -326,12 +349,14 @@ class RowPatternWindow(StreamOperator):
         scopes: Sequence[Optional[int]],
         nfa: RowPatternNFA,
         skip: RowPatternSkip,
+        classifier: "StepClassifier",
     ):
         super().__init__()
         self.make_accumulators = make_accumulators
         self.scopes = scopes
         self.nfa = nfa
         self.skip = skip
+        self._classifier = classifier
         self._overlaps = skip.strategy != SKIP_PAST_LAST
         self._checks: List[_ValueCheck] = []
         self._checks_of: List[List[_ValueCheck]] = [[] for _ in nfa.variables]
@@ -357,13 +382,13 @@ class RowPatternWindow(StreamOperator):
         """See `StreamOperator.process`."""
         for check in self._checks:
             check(element)
-        clock, end, span, idle = self.clock, element.end, self._max_span, self._max_idle_time
+        clock, end, idle = self.clock, element.end, self._max_idle_time
         if clock < end and (end <= self.max_timestamp or not self._is_too_far_ahead(end)):
             clock = end
         partition = self.states.get(element.key)
         if partition is None or (idle is not None and partition.reference_time < clock - idle):
             partition = PartitionState([self._scanning_state()])
-        states = partition.states if span is None else self._states_started_since(partition, clock - span)
+        states = self._active_states(partition, clock)
         meter = self.meter
         if meter is not None and meter(len(states)):
             return []
@@ -388,6 +413,11 @@ class RowPatternWindow(StreamOperator):
         super().return_to(instant)
         self._limit_reference_times()
 
+    def _active_states(self, partition: PartitionState, clock: int) -> List[ComputationState]:
+        """Return the states of a partition that may still complete."""
+        span = self._max_span
+        return partition.states if span is None else self._states_started_since(partition, clock - span)
+
     def _states_started_since(self, partition: PartitionState, min_start: int) -> List[ComputationState]:
         """Return the states of a partition, without those that started before an instant."""
         if all(state.start_time >= min_start or state.matched is None for state in partition.states):
@@ -403,7 +433,7 @@ class RowPatternWindow(StreamOperator):
             states.append(self._scanning_state())
         return states
 
-    def _replace_states(self, partition: PartitionState, successors: _Successors) -> List[_CompletedMatch]:
+    def _replace_states(self, partition: PartitionState, successors: _Successors) -> List[CompletedMatch]:
         """Replace the computation states of a partition, and return the matches that are now decided."""
         for start_order in successors.settled_starts:
             partition.drop_completed(start_order, not self._overlaps)
@@ -412,7 +442,7 @@ class RowPatternWindow(StreamOperator):
         partition.states = successors.states
         return self._pop_decided(partition)
 
-    def _pop_decided(self, partition: PartitionState) -> List[_CompletedMatch]:
+    def _pop_decided(self, partition: PartitionState) -> List[CompletedMatch]:
         """Remove and return the completed matches to which no state is preferred any more."""
         if not partition.completed:
             return []
@@ -434,7 +464,7 @@ class RowPatternWindow(StreamOperator):
                 partition.drop_before(self._next_start(match))
         return decided
 
-    def _next_start(self, match: _CompletedMatch) -> int:
+    def _next_start(self, match: CompletedMatch) -> int:
         """Return the order of the first element at which a match may begin after another one."""
         assignments = _list_assignments(match.matched)
         orders = [element.order for element, step in assignments if step == self.skip.step]
@@ -587,7 +617,7 @@ class RowPatternWindow(StreamOperator):
                 return True
         if may_end:
             successors.settled_starts.append(start_order)
-            successors.completed.append(_CompletedMatch(matched, start_order))
+            successors.completed.append(CompletedMatch(matched, start_order))
             # The search for the next match starts after this one. If matches may overlap, it has not been stopped.
             if not self._overlaps:
                 successors.states.append(self._scanning_state())
@@ -615,19 +645,28 @@ class RowPatternWindow(StreamOperator):
         successors.states.append(state)
         return True
 
-    def _outputs(self, decided_matches: Sequence[_CompletedMatch]) -> List[StreamOutput]:
+    def _outputs(self, decided_matches: Sequence[CompletedMatch]) -> List[StreamOutput]:
         outputs = [self._output(match) for match in decided_matches]
         return [output for output in outputs if output is not None]
 
-    def _output(self, completed: _CompletedMatch) -> Optional[StreamOutput]:
+    def _output(self, completed: CompletedMatch) -> Optional[StreamOutput]:
         """Return the output of a match, or None if a measure has no result."""
-        assignments = _list_assignments(completed.matched)
+        return self._make_output(completed.matched, self._end)
+
+    def _make_output(self, matched: _MatchedElements, earliest_end: int) -> Optional[StreamOutput]:
+        """Return the output of elements, or None if a measure has no result.
+
+        Args:
+            matched: the elements.
+            earliest_end: its end in ns, unless one of the elements ends later.
+        """
+        assignments = _list_assignments(matched)
         meter = self.meter
         if meter is not None and meter(len(assignments)):
             return None
         elements = [element for element, _ in assignments]
         start = min(element.start for element in elements)
-        end = max(self._end, *(element.end for element in elements))
+        end = max(earliest_end, *(element.end for element in elements))
         contributors = tuple(elements[-MAX_TRACKED_ELEMENTS:]) if self.tracks_elements else (elements[-1],)
         results, error = results_or_error(lambda: self._results(assignments))
         return None if results is None else StreamOutput(contributors, start, end, results, error)
@@ -635,6 +674,10 @@ class RowPatternWindow(StreamOperator):
     def _results(self, assignments: _StepAssignments) -> Optional[Values]:
         """Return the results of the measures of a match, or None if one has no result."""
         results = []
+        if self._classifier.positions:
+            assignments = tuple(
+                [(self._classifier.classify(*assigned), assigned[1]) for assigned in assignments]
+            )
         for measure, scope in zip(self.make_accumulators(), self.scopes):
             # Accumulators are created for each match, because matches are not known before they end.
             elements = deque([element for element, step in assignments if scope is None or step == scope])
@@ -742,8 +785,7 @@ class RowPatternWindow(StreamOperator):
         self._element_count += len(elements)
         try:
             partition.completed.extend(
-                _CompletedMatch(_matched_elements(match, element_by_order), match[0][0])
-                for match in completed
+                CompletedMatch(_matched_elements(match, element_by_order), match[0][0]) for match in completed
             )
             partition.states = [self._state_of(state, element_by_order) for state in states]
         except KeyError:
