@@ -1,14 +1,16 @@
 #!/usr/bin/env python3
 """Cost of the node of ROS 2 beside a node of rclpy that only counts the same messages; losses; memory.
 
-    bench/ros2_node.py [--kind pose image scan cloud] [--rate N ...] [--seconds N]
+    bench/ros2_node.py [--kind pose image scan cloud] [--rate N ...] [--seconds N] [--burst N]
     bench/ros2_node.py --loss [--kind pose ...] [--rate 1900 9500 19000] [--seconds N] [--depth N]
     bench/ros2_node.py --memory [--kind pose ...] [--rate N ...] [--seconds N]
 
 Needs rclpy and the installed package (``./install.py test --ros2 --collect-only`` builds it; the same environment).
 Both nodes read the same topic of one publisher, at the same time. CPU is user and system time of each process from
-``/proc``, for each message. The delay is the time from publishing to an output that the program sends for a message,
-or to the callback of the counting node. For all kinds but poses only the CPU is measured.
+``/proc``, for each message. The delay is the time from publishing to the callback of the counting node, or to that of
+a second one, which receives the outputs that the program sends for each message. A relay, a node of rclpy that
+publishes as much, has the same two steps. For all kinds but poses only the CPU is measured. ``--burst 2`` publishes
+two messages at once, as drivers do with an image and the parameters of its camera.
 
 ``--loss`` compares the number of sent messages with what the node has received and counted as missing, without the
 counting node. Quality of service is reliable. Publisher and node store as many messages as ``--depth`` says, so a
@@ -26,7 +28,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from statistics import linear_regression
 from typing import Any, Dict, Iterator, List, NamedTuple, Tuple
@@ -79,7 +81,29 @@ DEPTH = 1000
 """Number of messages that publisher and readers store by default; the largest one that a node chooses itself."""
 
 
+OUTPUTS = ("output", "relayed")
+"""Topics of the outputs of the node, and of the relay."""
+
+
 class Load(NamedTuple):
+    """Messages to publish.
+
+    Attributes:
+        kind: kind of the messages.
+        rate: messages per second.
+        seconds: seconds for which they are published.
+        depth: number of messages that the publisher stores.
+        burst: number of messages that are published at once.
+    """
+
+    kind: str
+    rate: float
+    seconds: float
+    depth: int = DEPTH
+    burst: int = 1
+
+
+class SentMessages(NamedTuple):
     """Number of sent messages, and the seconds in which they were sent."""
 
     sent: int
@@ -119,26 +143,45 @@ def count(kind: str, topic: str = "measured") -> None:
 
     rclpy.init()
     node = rclpy.create_node(f"counter_{topic}")
-    if topic == "output":
+    if topic in OUTPUTS:
         from std_msgs.msg import Header
 
         node.create_subscription(Header, topic, receive, DEPTH)
     else:
         node.create_subscription(message_class(kind), topic, receive, DEPTH)
-    try:
+    spin(node)
+    print(json.dumps(delays))
+
+
+def relay() -> None:
+    """Publish the header of each pose until SIGINT."""
+    import rclpy
+    from std_msgs.msg import Header
+
+    rclpy.init()
+    node = rclpy.create_node("relay")
+    publisher = node.create_publisher(Header, "relayed", DEPTH)
+
+    def receive(message: Any) -> None:
+        publisher.publish(message.header)
+
+    node.create_subscription(message_class("pose"), "measured", receive, DEPTH)
+    spin(node)
+
+
+def spin(node: Any) -> None:
+    """Run the callbacks of a node until SIGINT."""
+    import rclpy
+
+    with suppress(KeyboardInterrupt, rclpy.executors.ExternalShutdownException):
         rclpy.spin(node)
-    except (KeyboardInterrupt, rclpy.executors.ExternalShutdownException):
-        print(json.dumps(delays))
 
 
-def publish(kind: str, rate: float, seconds: float, depth: int, is_compared: bool) -> None:
+def publish(load: Load, is_compared: bool) -> None:
     """Publish messages at a rate; print their number and the seconds that this has taken.
 
     Args:
-        kind: kind of the messages.
-        rate: messages per second.
-        seconds: seconds for which they are published.
-        depth: number of messages that the publisher stores.
+        load: the messages.
         is_compared: whether the counting node reads them, too, and measures delays. Otherwise they are serialized
             once, which allows higher rates, and have no stamps.
     """
@@ -147,22 +190,22 @@ def publish(kind: str, rate: float, seconds: float, depth: int, is_compared: boo
 
     rclpy.init()
     node = rclpy.create_node("load")
-    message = make_message(kind)
+    message = make_message(load.kind)
     data = serialize_message(message)
-    publisher = node.create_publisher(type(message), "measured", depth)
+    publisher = node.create_publisher(type(message), "measured", load.depth)
     end = time.monotonic() + 30
     while publisher.get_subscription_count() < 1 + is_compared and time.monotonic() < end:
         time.sleep(0.02)
     time.sleep(START_SECONDS)
     sent, start = 0, time.monotonic()
-    while time.monotonic() - start < seconds:
-        due = int((time.monotonic() - start) * rate)
+    while time.monotonic() - start < load.seconds:
+        due = int((time.monotonic() - start) * load.rate / load.burst) * load.burst
         while sent < due:
             if is_compared:
                 message.header.stamp.sec, message.header.stamp.nanosec = divmod(time.time_ns(), 10**9)
             publisher.publish(message if is_compared else data)
             sent += 1
-        time.sleep(min(0.0005, 0.5 / rate))
+        time.sleep(min(0.0005, 0.5 / load.rate))
     taken = time.monotonic() - start
     # The reader may have to ask for messages again.
     time.sleep(2.0)
@@ -193,28 +236,33 @@ def run_node(program: Any) -> Iterator[Any]:
             node.kill()
 
 
-def start_load(kind: str, rate: float, seconds: float, depth: int, is_compared: bool) -> Any:
+def start_load(load: Load, is_compared: bool) -> Any:
     """Start the publisher; see `publish`."""
-    words = ("--publish", kind, str(rate), str(seconds), str(depth), str(int(is_compared)))
-    return start(*words, stdout=subprocess.PIPE)
+    return start("--publish", *map(str, load), str(int(is_compared)), stdout=subprocess.PIPE)
 
 
-def finish_load(load: Any) -> Load:
+def finish_load(process: Any) -> SentMessages:
     """Wait for the publisher; return what it has sent."""
-    sent, seconds = load.communicate(timeout=MAX_SECONDS)[0].split()
-    return Load(int(sent), float(seconds))
+    sent, seconds = process.communicate(timeout=MAX_SECONDS)[0].split()
+    return SentMessages(int(sent), float(seconds))
 
 
-def measure(kind: str, program: Any, rate: float, seconds: float, has_output: bool) -> Dict[str, Any]:
-    """Return the cost of both nodes at a rate."""
+def measure(load: Load, program: Any, has_output: bool) -> Dict[str, Any]:
+    """Return the cost of both nodes, and the delays of the counting node; with outputs, of those before it."""
     with run_node(program) as node:
-        counter = start("--count", kind, stdout=subprocess.PIPE)
-        output = start("--count", kind, "--output", stdout=subprocess.PIPE) if has_output else None
+        counter = start("--count", load.kind, stdout=subprocess.PIPE)
+        relaying = start("--relay") if has_output else None
+        receivers = [
+            start("--count", load.kind, topic, stdout=subprocess.PIPE) for topic in OUTPUTS if has_output
+        ]
         time.sleep(START_SECONDS)
         before = [cpu(process.pid) for process in (node, counter)]
-        sent = finish_load(start_load(kind, rate, seconds, DEPTH, True)).sent
+        sent = finish_load(start_load(load, True)).sent
         spent = [cpu(process.pid) - first for process, first in zip((node, counter), before)]
-        delays = [read_delays(process) for process in (output, counter) if process is not None]
+        delays = [read_delays(process) for process in (*receivers, counter)]
+        if relaying is not None:
+            relaying.send_signal(signal.SIGINT)
+            relaying.wait(MAX_SECONDS)
     return {
         "node_us": 1e6 * spent[0] / sent,
         "counter_us": 1e6 * spent[1] / sent,
@@ -222,19 +270,19 @@ def measure(kind: str, program: Any, rate: float, seconds: float, has_output: bo
     }
 
 
-def measure_loss(kind: str, rate: float, seconds: float, depth: int) -> str:
+def measure_loss(load: Load) -> str:
     """Return a line with the sent messages, and those that the node has received and counted as missing."""
-    topics, goals = PROGRAMS[kind]
-    with run_node((topics.replace("/>", f' depth="{depth}"/>'), goals)) as node:
+    topics, goals = PROGRAMS[load.kind]
+    with run_node((topics.replace("/>", f' depth="{load.depth}"/>'), goals)) as node:
         time.sleep(START_SECONDS)
         before = cpu(node.pid)
-        load = finish_load(start_load(kind, rate, seconds, depth, False))
+        sent, seconds = finish_load(start_load(load, False))
         spent = cpu(node.pid) - before
         received, missing = read_counters()
     return (
-        f"{kind} at {rate:g}/s, depth {depth}: {load.sent / load.seconds:.0f}/s sent, {load.sent} messages: "
-        f"{received} received, {missing} counted as missing, {load.sent - received - missing} not counted; "
-        f"node {1e6 * spent / load.sent:.0f} us a message, {spent / load.seconds:.0%} of a core"
+        f"{load.kind} at {load.rate:g}/s, depth {load.depth}: {sent / seconds:.0f}/s sent, {sent} messages: "
+        f"{received} received, {missing} counted as missing, {sent - received - missing} not counted; "
+        f"node {1e6 * spent / sent:.0f} us a message, {spent / seconds:.0%} of a core"
     )
 
 
@@ -264,23 +312,23 @@ def read_counters() -> Tuple[int, int]:
     return counters
 
 
-def measure_memory(kind: str, rate: float, seconds: float, depth: int) -> str:
+def measure_memory(load: Load) -> str:
     """Return a line with the resident memory of the node, and its growth."""
-    with run_node(PROGRAMS[kind]) as node:
+    with run_node(PROGRAMS[load.kind]) as node:
         time.sleep(START_SECONDS)
         before = cpu(node.pid)
-        load = start_load(kind, rate, seconds, depth, False)
+        publisher = start_load(load, False)
         samples: List[Tuple[float, float]] = []
-        while load.poll() is None:
+        while publisher.poll() is None:
             samples.append((time.monotonic(), resident(node.pid)))
             time.sleep(1.0)
-        result = finish_load(load)
+        result = finish_load(publisher)
         spent = cpu(node.pid) - before
     steady = samples[len(samples) // 3 :]
     slope = linear_regression(*zip(*steady)).slope
     values = [value for _, value in steady]
     return (
-        f"{kind} at {rate:g}/s for {result.seconds:.0f} s: {min(values):.1f} to {max(values):.1f} MB, "
+        f"{load.kind} at {load.rate:g}/s for {result.seconds:.0f} s: {min(values):.1f} to {max(values):.1f} MB, "
         f"growth {3600 * slope:.1f} MB an hour; {spent / result.seconds:.0%} of a core"
     )
 
@@ -299,16 +347,17 @@ def describe_delays(delays: List[float]) -> str:
     return f"{len(delays)} received, delay {1e3 * median:.2f} ms, 99 % {1e3 * high:.2f} ms"
 
 
-def measure_cost(kind: str, rate: float, seconds: float, depth: int) -> str:
+def measure_cost(load: Load) -> str:
     """Return lines with the cost of both nodes, and with the delays for poses."""
-    cost = measure(kind, PROGRAMS[kind], rate, seconds, False)
+    cost = measure(load, PROGRAMS[load.kind], False)
     lines = [
-        f"{kind} at {rate:g}/s: node {cost['node_us']:.0f} us a message, counting node "
+        f"{load.kind} at {load.rate:g}/s: node {cost['node_us']:.0f} us a message, counting node "
         f"{cost['counter_us']:.0f} us = {cost['node_us'] / cost['counter_us']:.2f}"
     ]
-    if kind == "pose":
-        outputs, counted = measure(kind, DELAY_PROGRAM, rate, seconds, True)["delays"]
+    if load.kind == "pose":
+        outputs, relayed, counted = measure(load, DELAY_PROGRAM, True)["delays"]
         lines.append(f"  node with outputs: {describe_delays(outputs)}")
+        lines.append(f"  relay:             {describe_delays(relayed)}")
         lines.append(f"  counting node:     {describe_delays(counted)}")
     return "\n".join(lines)
 
@@ -320,6 +369,9 @@ def main() -> None:
     parser.add_argument("--rate", nargs="+", type=above_zero)
     parser.add_argument("--seconds", type=above_zero, default=10.0)
     parser.add_argument("--depth", type=positive, default=DEPTH, help="for --loss and --memory")
+    parser.add_argument(
+        "--burst", type=positive, default=1, help="number of messages that are published at once"
+    )
     group = parser.add_mutually_exclusive_group()
     group.add_argument("--loss", dest="measure", action="store_const", const=measure_loss)
     group.add_argument("--memory", dest="measure", action="store_const", const=measure_memory)
@@ -329,13 +381,17 @@ def main() -> None:
     for kind in options.kind:
         rates = LOSS_RATES if options.measure is measure_loss and kind == "pose" else RATES[kind]
         for rate in options.rate or rates:
-            print(options.measure(kind, rate, options.seconds, options.depth), flush=True)
+            load = Load(kind, rate, options.seconds, options.depth, options.burst)
+            print(options.measure(load), flush=True)
 
 
 if __name__ == "__main__":
     if sys.argv[1:2] == ["--count"]:
-        count(sys.argv[2], "output" if sys.argv[3:] else "measured")
+        count(*sys.argv[2:])
+    elif sys.argv[1:2] == ["--relay"]:
+        relay()
     elif sys.argv[1:2] == ["--publish"]:
-        publish(sys.argv[2], float(sys.argv[3]), float(sys.argv[4]), int(sys.argv[5]), sys.argv[6] == "1")
+        kind, rate, seconds, depth, burst, is_compared = sys.argv[2:]
+        publish(Load(kind, float(rate), float(seconds), int(depth), int(burst)), is_compared == "1")
     else:
         main()

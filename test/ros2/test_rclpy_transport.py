@@ -16,7 +16,7 @@ from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy, qos_profile_services_default
 from rclpy.serialization import deserialize_message, serialize_message
 from rclpy.service_introspection import ServiceIntrospectionState
-from ros2.rclpy_nodes import Network, RecordingReceiver, wait_until
+from ros2.rclpy_nodes import TIMEOUT_SECONDS, Network, RecordingReceiver, wait_until
 from rosgraph_msgs.msg import Clock
 from std_msgs.msg import String
 
@@ -339,6 +339,39 @@ def test_sent_message_is_received_by_other_node(network: Network) -> None:
     wait_until(lambda: texts)
     assert texts == ["hello"]
     assert (publication.sent, publication.dropped) == (1, 0)
+
+
+def test_message_directly_after_another_is_not_delayed(
+    network: Network, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(message_intake, "BATCH_SECONDS", 10 * TIMEOUT_SECONDS)
+    receiver = RecordingReceiver()
+    subscribe(network.add_transport(), receiver)
+    publisher = network.add_node().create_publisher(String, "texts", 100)
+    wait_until(publisher.get_subscription_count)
+    for number in range(0, 20, 2):
+        publisher.publish(String(data="image"))
+        # Otherwise both are read at once.
+        time.sleep(0.001)
+        publisher.publish(String(data="parameters"))
+        wait_until(lambda: len(receiver.messages) == number + 2)  # noqa: B023
+        # The rate of a camera.
+        time.sleep(0.03)
+
+
+def test_messages_at_high_rate_are_read_in_batches(network: Network, monkeypatch: pytest.MonkeyPatch) -> None:
+    pauses: List[float] = []
+    clock = SimpleNamespace(monotonic=time.monotonic, sleep=pauses.append)
+    monkeypatch.setattr(message_intake, "time", clock)
+    subscribe(network.add_transport(), RecordingReceiver())
+    publisher = network.add_node().create_publisher(String, "texts", 1000)
+
+    def publish() -> bool:
+        for _ in range(20):
+            publisher.publish(String(data="scan"))
+        return message_intake.BATCH_SECONDS in pauses
+
+    wait_until(publish)
 
 
 def test_repeated_message_has_the_same_identity(network: Network) -> None:

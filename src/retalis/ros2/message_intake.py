@@ -21,10 +21,13 @@ from rclpy.subscription import Subscription
 log = logging.getLogger("retalis")
 
 FAST_SECONDS = 0.002
-"""If messages arrive within this time after those before, a topic counts as fast."""
+"""Mean time between two messages below which they are read in batches."""
 
 BATCH_SECONDS = 0.005
-"""Seconds for which messages of a fast topic wait for the next ones."""
+"""Seconds for which messages wait for the next ones if they are read in batches."""
+
+MESSAGE_WEIGHT = 0.1
+"""Weight of a message in the mean time: two messages that are published at once are no high rate."""
 
 ERROR_SECONDS = 0.1
 """Seconds before messages are read again after an error."""
@@ -186,6 +189,7 @@ class MessageIntake:
         consumers: Dict[Subscription, Consume] = {}
         subscriptions: List[Subscription] = []
         wait_set: Any = None
+        last, mean_seconds = time.monotonic(), FAST_SECONDS
         while not self._is_stopped:
             try:
                 if self._has_changed or wait_set is None:
@@ -195,11 +199,10 @@ class MessageIntake:
                     wait_set = self._make_wait_set(subscriptions)
                 else:
                     self._fill_wait_set(wait_set, subscriptions)
-                began = time.monotonic()
                 wait_set.wait(-1)
                 if self._is_stopped:
                     return
-                if time.monotonic() - began < FAST_SECONDS:
+                if mean_seconds < FAST_SECONDS:
                     time.sleep(BATCH_SECONDS)
                     ready = subscriptions
                 else:
@@ -208,7 +211,12 @@ class MessageIntake:
                         for position, subscription in enumerate(subscriptions)
                         if wait_set.is_ready("subscription", position)
                     ]
-                self._pass_on(consumers, ready)
+                now = time.monotonic()
+                count = self._pass_on(consumers, ready)
+                if count:
+                    weight = 1 - (1 - MESSAGE_WEIGHT) ** count
+                    mean_seconds += weight * ((now - last) / count - mean_seconds)
+                    last = now
             except Exception as error:
                 if self._is_stopped:
                     return
@@ -227,19 +235,20 @@ class MessageIntake:
             self._node.destroy_subscription(subscription)
         return consumers
 
-    def _pass_on(self, consumers: Dict[Subscription, Consume], ready: List[Subscription]) -> None:
-        """Take the messages of subscriptions and pass them on in the order of their reception."""
+    def _pass_on(self, consumers: Dict[Subscription, Consume], ready: List[Subscription]) -> int:
+        """Take the messages of subscriptions, pass them on in the order of their reception; return their number."""
         if len(ready) == 1:
             messages = take_messages(ready[0])
             if messages:
                 consumers[ready[0]](messages)
-            return
+            return len(messages)
         received: List[Tuple[int, int, ReceivedMessage]] = []
         for position, subscription in enumerate(ready):
             received += [(message.received, position, message) for message in take_messages(subscription)]
         received.sort(key=_by_reception)
         for position, entries in groupby(received, _by_position):
             consumers[ready[position]]([entry[2] for entry in entries])
+        return len(received)
 
 
 def _by_reception(entry: Tuple[int, int, ReceivedMessage]) -> int:
