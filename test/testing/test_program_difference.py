@@ -226,22 +226,27 @@ def _make_message(term: Any) -> Term:
 def run_random_pair(seed: int, folder: Path) -> Extent:
     """Compare a random pair; return its extent."""
     pairs = ProgramPairs(seed)
+    random = pairs.random
     rules = pairs.draw_rules()
-    policy = pairs.random.choice(["recent", "unrestricted", "chronological"])
-    goals = [f"set_etalis_flag(event_consumption_policy, {policy})"]
-    outputs = [
-        f"subscribe({name}{arguments}, [], _, t_{name}, {number})"
-        for name in "mnopqrsu"
-        for number, arguments in enumerate(["", "(_)"])
+    policy = random.choice(["recent", "unrestricted", "chronological"])
+    goals = [
+        f"set_etalis_flag(event_consumption_policy, {policy})",
+        *(
+            f"subscribe({name}{arguments}{random.choice(['', '', ' with throttle(2)', ' with debounce(1)'])}, [], _, "
+            f"t_{name}, {number})"
+            for name in "mnopqrsu"
+            for number, arguments in enumerate(["", "(_)"])
+        ),
     ]
-    topics = "".join(name for name in "abcd" if pairs.random.random() < 0.85)
-    write_bag(folder / "some.bag", pairs.messages, topics)
-    new_goals = [*goals, *outputs]
-    if pairs.random.random() < 0.1:
-        del new_goals[-pairs.random.randrange(1, 8)]
+    new_goals, new_topics = list(goals), TOPICS
+    if random.random() < 0.1:
+        del new_goals[random.randrange(1, len(goals))]
+    if random.random() < 0.1:
+        new_topics = TOPICS.replace('event="a"', random.choice(['event="m"', 'event="b"']))
+    write_bag(folder / "some.bag", pairs.messages, "".join(name for name in "abcd" if random.random() < 0.85))
     folders = [
-        write_program(folder / "old", rules, [*goals, *outputs]),
-        write_program(folder / "new", pairs.change(rules), new_goals),
+        write_program(folder / "old", rules, goals),
+        write_program(folder / "new", pairs.change(rules), new_goals, new_topics),
     ]
     try:
         expected = compare_whole_runs(folders, folder / "some.bag")

@@ -146,6 +146,7 @@ def make_observed_decoder(decoder: Decoder, states: Mapping[bytes, Any], observe
         return stamp(data)
 
     observed_decoder = copy(decoder)
+    observed_decoder.plain = decoder
     fields = _stamped_fields(definition)
     # The fast reader assumes that the header's frame is the only one.
     is_single = len(fields) == 1 and fields[0].field.length is None and not fields[0].has_child

@@ -283,7 +283,7 @@ class Playback:
         """Return the handler of messages; see `HandlerFactory`."""
         if self._read_events is None or decoder.functor.name in self._read_events:
             return self._make_handler(decoder, topic, source)
-        stamp, clock = decoder.stamp, self.clock
+        stamp, clock = (decoder.plain or decoder).stamp, self.clock
 
         def advance_clock(data: bytes) -> Optional[Tuple[Term, Optional[int]]]:
             instant = stamp(data)

@@ -23,7 +23,6 @@ from typing import (
 
 from ..foundation.ros_name_checks import strip_slashes
 from ..messages.decoder import Decoder
-from ..node.running_program import make_event_handler
 from ..node.subscribed_topics import MessageHandler
 from ..node.transport import MessageSource
 from ..prolog.terms.types import Term
@@ -41,8 +40,7 @@ PORTION_BYTES = 1 << 20
 class SharedTerms:
     """Terms of the messages of a portion, by the function that decodes them.
 
-    Types of numbers and one or two strings have an own decoder in each playback, which also observes their stamps;
-    decoding them again takes less time than looking them up here.
+    Stamps that jump are not reported: observing them takes several times as long as decoding small messages.
     """
 
     def __init__(self) -> None:
@@ -50,9 +48,8 @@ class SharedTerms:
 
     def make_handler(self, decoder: Decoder, topic: str, source: MessageSource) -> MessageHandler:
         """Return a function from a message to its event and the event's instant; see `HandlerFactory`."""
-        decode, stamp = decoder.decode, decoder.stamp
-        if decoder.plain is not None:
-            return make_event_handler(decoder, topic, source)
+        unobserved = decoder.plain or decoder
+        decode, stamp = unobserved.decode, unobserved.stamp
         terms = self._terms.setdefault(decode, {})
         find_term = terms.get
 
@@ -126,7 +123,8 @@ class SharedRun(NamedTuple):
 def run_together(runs: Sequence[SharedRun], bag: Bag, terms: SharedTerms) -> Iterator[Tuple[int, Output]]:
     """Run several playbacks over a bag in one pass; yield each output with the number of its playback.
 
-    The outputs and reports of each playback are those of `Playback.run`.
+    The outputs and reports of each playback are those of `Playback.run`, except warnings about the program itself and
+    about stamps that jump.
 
     Args:
         runs: the playbacks; `SharedTerms.make_handler` may be their handler.
