@@ -72,7 +72,9 @@ def test_equal_versions_have_status_0(capsys: pytest.CaptureFixture[str], folder
     rules = (folder / "old" / "eventRules.txt").read_text()
     write_program(folder / "new", 40)
     (folder / "new" / "eventRules.txt").write_text("% A comment.\n" + rules.replace(" where", "\n    where"))
-    expected = "2 bags: 2 not read (the programs are equal)\n"
+    # No bag is opened.
+    (folder / "bags" / "c.bag").write_bytes(b"no bag")
+    expected = "3 bags: 3 not read (the programs are equal)\n"
     assert run_diff(capsys, "old", "new", "bags") == (0, expected, "")
 
 

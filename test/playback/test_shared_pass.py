@@ -4,15 +4,18 @@ import logging
 from contextlib import contextmanager
 from copy import copy
 from pathlib import Path
+from shutil import copytree
 from typing import Any, Iterator, List, Sequence, Tuple
 
 import pytest
+from node.equivalence_bags import BAGS, BagSpecification, write_bag
 
 from retalis import BagReader, BagWriter, Definitions, Playback
 from retalis.node.transport import MessageSource
 from retalis.playback import shared_pass
 from retalis.playback.shared_pass import SharedRun, SharedTerms, run_together
 
+PROGRAM = Path(__file__).resolve().parents[1] / "node" / "equivalence_program"
 DEFINITIONS = Definitions()
 NUMBER = DEFINITIONS.add("test_msgs/Number", "int64 x")
 TEXTS = DEFINITIONS.add("test_msgs/Texts", "string[] texts\nint64 x")
@@ -137,6 +140,16 @@ def test_results_are_those_of_separate_runs(
     expected = run_separately(folder, versions)
     assert run_shared(folder, versions) == expected
     assert all(len(outputs) > 10 and any("dropped" in line for line in log) for outputs, log in expected)
+
+
+@pytest.mark.parametrize("specification", [BAGS[5], BAGS[6], BAGS[7]], ids=lambda bag: bag.name)
+def test_outputs_for_stamped_messages_are_equal(specification: BagSpecification, tmp_path: Path) -> None:
+    for version in ("old", "new"):
+        copytree(PROGRAM, tmp_path / version)
+    write_bag(tmp_path / "some.bag", 0, specification)
+    separate, shared = (run(tmp_path, ("old", "new")) for run in (run_separately, run_shared))
+    assert [outputs for outputs, _ in separate] == [outputs for outputs, _ in shared]
+    assert separate[0][0]
 
 
 def test_message_is_decoded_once_in_a_portion() -> None:
