@@ -302,6 +302,8 @@ class ProgramVersion:
             or self._program.knowledge.transforms.is_required
             or not flags.changed_flags().keys() <= _FOLLOWED_FLAGS
             or any(key.name in _EVENT_FACTS for key in self.clauses)
+            # The goals of longer files are not known.
+            or not all(map(_is_short, items.files))
             or any(_mentions(term, _CHANGING_FUNCTIONS) for term in self._program.rules.terms())
         ):
             raise _Unfollowed
