@@ -23,7 +23,6 @@ from urllib.parse import urlsplit
 from xml.etree import ElementTree
 
 from docutils import nodes
-from pygments.lexers.prolog import PrologLexer
 from sphinx import addnodes
 from sphinx.application import Sphinx
 from sphinx.transforms import SphinxTransform
@@ -33,7 +32,9 @@ DOCS = Path(__file__).resolve().parent
 ROOT = DOCS.parent
 COOKBOOK = ROOT / "examples" / "cookbook"
 
-sys.path.insert(0, str(ROOT / "src"))
+sys.path[:0] = [str(ROOT / "src"), str(DOCS)]
+
+from rule_lexer import RuleLexer
 
 MANIFEST = ElementTree.parse(ROOT / "package.xml").getroot()
 REPOSITORY = (MANIFEST.findtext("url[@type='repository']") or "").strip().rstrip("/")
@@ -74,8 +75,8 @@ html_js_files = ["site.js"]
 copybutton_prompt_text = r"\$ |\?- |>>> |\.\.\. "
 copybutton_prompt_is_regexp = True
 
-OWN_LANGUAGES = ("goals", "outputs", "stream")
-"""Languages of code blocks that the tests of the pages distinguish; all of them contain Prolog terms."""
+RULE_LANGUAGES = ("prolog", "goals", "outputs", "stream")
+"""Languages of code blocks with Prolog terms, which the tests of the pages distinguish."""
 
 INDEX_NAMES = ("index", "README")
 """Names of the pages that list the other pages of their folders."""
@@ -392,5 +393,5 @@ def setup(app: Sphinx) -> None:
     app.connect("build-finished", check_site)
     app.add_transform(ResolveFileLinks)
     app.add_transform(CaptionCodeBlocks)
-    for language in OWN_LANGUAGES:
-        app.add_lexer(language, PrologLexer)
+    for language in RULE_LANGUAGES:
+        app.add_lexer(language, RuleLexer)

@@ -3,7 +3,8 @@
 
     PYTHONPATH=src docs/editors/make.py    # writes docs/editors/vim and docs/editors/vscode
 
-What is a word, a number, a quoted text or a comment is as in ``src/retalis/prolog/syntax/tokenizer.py``.
+Words, numbers, quoted texts and comments are those of ``src/retalis/prolog/syntax/tokenizer.py``. The grammar for
+VS Code also colours the pages of the documentation; see ``docs/rule_lexer.py``.
 """
 
 import json
@@ -18,39 +19,41 @@ HERE = Path(__file__).resolve().parent
 
 FILES = ("eventRules.txt", "goalPredicates.txt")
 ENDINGS = ("event", "retalis")
-"""What a program's files are called, and files that hold rules."""
+"""Suffixes of other files with rules."""
 
 ARROWS = ("<-", ":-", "?-", "-->")
-BY = "docs/editors/make.py made this from the tables of operators."
+ORIGIN = "docs/editors/make.py made this from the tables of operators."
 
 
-def words_of_events() -> List[str]:
-    """Return how the operators of the event language are spelled that are words."""
-    found = [
+def list_event_words() -> List[str]:
+    """Return all spellings of the operators of the event language that are words."""
+    spellings = [
         spelling
-        for one in EVENT_OPERATORS
-        if one.kind is not OperatorKind.UNSUPPORTED
-        for spelling in one.spellings
+        for operator in EVENT_OPERATORS
+        if operator.kind is not OperatorKind.UNSUPPORTED
+        for spelling in operator.spellings
         if re.fullmatch(r"\w+", spelling)
     ]
-    return list(dict.fromkeys(found))
+    return list(dict.fromkeys(spellings))
 
 
-def words_of_prolog() -> List[str]:
-    """Return Prolog's operators that are words."""
+def list_prolog_words() -> List[str]:
+    """Return the operators of Prolog that are words and not operators of the event language."""
     table = Operators.prolog()
-    known = {*words_of_events(), *(one.name for one in EVENT_OPERATORS)}
+    event_words = {*list_event_words(), *(operator.name for operator in EVENT_OPERATORS)}
     names = {*table.prefix, *table.infix, *table.postfix}
-    return sorted(name for name in names if re.fullmatch(r"[a-z]\w*", name) and name.lower() not in known)
+    return sorted(
+        name for name in names if re.fullmatch(r"[a-z]\w*", name) and name.lower() not in event_words
+    )
 
 
 def vim_syntax() -> str:
-    """Return the file that says what is coloured, for vim."""
+    """Return the syntax file for vim."""
     arrows = "\\|".join(re.sub(r"([*.~\[\]^$\\/])", r"\\\1", arrow) for arrow in ARROWS)
     return f"""\
 " Vim syntax file
 " Language: retalis, event rules and goals
-" {BY}
+" {ORIGIN}
 if exists("b:current_syntax")
   finish
 endif
@@ -63,8 +66,8 @@ syn match retalisEnd "\\.\\ze\\%(\\s\\|%\\|$\\)"
 syn match retalisNumber "\\<\\d[0-9_]*\\%(\\.\\d\\+\\)\\=\\%([eE][-+]\\=\\d\\+\\)\\=\\>"
 syn match retalisNumber "\\<0x\\x\\+\\>\\|\\<0o\\o\\+\\>\\|\\<0b[01]\\+\\>"
 syn match retalisNumber "\\<0'\\%(\\\\.\\|''\\|[^\\\\]\\)"
-syn keyword retalisOperator {" ".join(words_of_events())}
-syn keyword retalisProlog {" ".join(words_of_prolog())}
+syn keyword retalisOperator {" ".join(list_event_words())}
+syn keyword retalisProlog {" ".join(list_prolog_words())}
 syn region retalisAtom start=+'+ skip=+\\\\.\\|''+ end=+'+
 syn region retalisString start=+"+ skip=+\\\\.\\|""+ end=+"+
 syn region retalisString start=+`+ skip=+\\\\.\\|``+ end=+`+
@@ -89,17 +92,17 @@ let b:current_syntax = "retalis"
 
 
 def vim_detection() -> str:
-    """Return the file that says which files are meant, for vim."""
+    """Return the file for vim that detects files with rules."""
     names = ",".join((*FILES, *(f"*.{ending}" for ending in ENDINGS)))
     return f"""\
-" {BY}
+" {ORIGIN}
 autocmd BufNewFile,BufRead {names} set filetype=retalis
 autocmd FileType retalis setlocal commentstring=%\\ %s comments=:%
 """
 
 
 def grammar() -> Dict[str, object]:
-    """Return what is coloured, as VS Code wants it."""
+    """Return the TextMate grammar for VS Code."""
 
     def rule(name: str, match: str) -> Dict[str, object]:
         return {"name": f"{name}.retalis", "match": match}
@@ -121,7 +124,7 @@ def grammar() -> Dict[str, object]:
     number = rf"0'(?:\\.|''|[^\\])|\b(?:{radix}|{decimal})\b"
     return {
         "$schema": "https://raw.githubusercontent.com/martinring/tmlanguage/master/tmlanguage.json",
-        "comment": BY,
+        "comment": ORIGIN,
         "name": "retalis",
         "scopeName": "source.retalis",
         "patterns": [
@@ -131,8 +134,8 @@ def grammar() -> Dict[str, object]:
             region("string.quoted.double", '"', f'{escape}|""'),
             region("string.quoted.other", "`", f"{escape}|``"),
             rule("constant.numeric", number),
-            rule("keyword.control.event", rf"\b(?:{'|'.join(words_of_events())})\b"),
-            rule("keyword.operator.word", rf"\b(?:{'|'.join(words_of_prolog())})\b"),
+            rule("keyword.control.event", rf"\b(?:{'|'.join(list_event_words())})\b"),
+            rule("keyword.operator.word", rf"\b(?:{'|'.join(list_prolog_words())})\b"),
             rule("keyword.control.arrow", rf"(?<!{signs})(?:{arrows})(?!{signs})"),
             rule("variable.other", r"\b[A-Z_]\w*\b"),
             rule("entity.name.function", r"\b[a-z]\w*(?=\()"),
@@ -143,7 +146,7 @@ def grammar() -> Dict[str, object]:
 
 
 def extension() -> Dict[str, object]:
-    """Return what VS Code has to know of the folder."""
+    """Return the manifest of the extension for VS Code."""
     return {
         "name": "retalis",
         "displayName": "retalis",
@@ -200,7 +203,7 @@ def extension() -> Dict[str, object]:
 
 
 def configuration() -> Dict[str, object]:
-    """Return how VS Code comments out, and which brackets belong together."""
+    """Return the comments and brackets of the language for VS Code."""
     pairs = [["(", ")"], ["[", "]"], ["{", "}"]]
     quotes = [[mark, mark] for mark in "'\"`"]
     return {
@@ -211,8 +214,8 @@ def configuration() -> Dict[str, object]:
     }
 
 
-def texts() -> Dict[Path, str]:
-    """Return each file and what it holds."""
+def list_contents() -> Dict[Path, str]:
+    """Return the contents of the files by path."""
 
     def pretty(value: object) -> str:
         return json.dumps(value, indent=2) + "\n"
@@ -227,6 +230,6 @@ def texts() -> Dict[Path, str]:
 
 
 if __name__ == "__main__":
-    for path, text in texts().items():
+    for path, text in list_contents().items():
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(text, encoding="utf-8")
