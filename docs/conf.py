@@ -34,7 +34,7 @@ COOKBOOK = ROOT / "examples" / "cookbook"
 
 sys.path[:0] = [str(ROOT / "src"), str(DOCS)]
 
-from rule_lexer import RuleLexer
+from rule_lexer import RuleLexer  # noqa: E402 - beside this file
 
 MANIFEST = ElementTree.parse(ROOT / "package.xml").getroot()
 REPOSITORY = (MANIFEST.findtext("url[@type='repository']") or "").strip().rstrip("/")
