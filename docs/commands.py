@@ -10,7 +10,7 @@ DOCS = Path(__file__).resolve().parent
 sys.path.insert(0, str(DOCS.parent / "src"))
 
 from retalis.cli.command_line import import_commands  # noqa: E402
-from retalis.cli.node_command_options import DESCRIPTION  # noqa: E402
+from retalis.cli.node_client_options import DESCRIPTION  # noqa: E402
 
 PAGE = DOCS / "reference" / "commands.md"
 

@@ -16,7 +16,7 @@ from retalis.testing.case_file import (
     parse_case_file,
     read_case_file,
 )
-from retalis.testing.yaml_values import CaseFileError
+from retalis.testing.yaml_documents import CaseFileError
 
 SECOND = 10**9
 

@@ -7,7 +7,7 @@ from testing.case_texts import FEVER_GOALS, FEVER_INPUT, FEVER_RULES, indent, ru
 
 from retalis import Definitions
 from retalis.testing.golden_file import read_golden_file, write_golden_file
-from retalis.testing.yaml_values import CaseFileError
+from retalis.testing.yaml_documents import CaseFileError
 
 CASE = (
     f"rules: |\n{indent(FEVER_RULES, 2)}goals: |\n{indent(FEVER_GOALS, 2)}"

@@ -8,7 +8,7 @@ from retalis import Definitions
 from retalis.foundation.errors import Place
 from retalis.testing.case_definition import Tolerance
 from retalis.testing.message_comparison import SlotComparison
-from retalis.testing.yaml_values import CaseFileError, parse_yaml
+from retalis.testing.yaml_documents import CaseFileError, parse_yaml
 
 START = 1_000_000_000 * 10**9
 EXACT = Tolerance()

@@ -9,7 +9,7 @@ from retalis.foundation.errors import Place
 from retalis.messages.message_dictionaries import read_message_term
 from retalis.testing.case_definition import CaseMessage
 from retalis.testing.message_values import make_input_message
-from retalis.testing.yaml_values import CaseFileError, parse_yaml
+from retalis.testing.yaml_documents import CaseFileError, parse_yaml
 
 NOW = 1_500_000_000_250_000_000
 

@@ -8,7 +8,7 @@ from testing.case_texts import run_text
 
 from retalis import Definitions
 from retalis.testing.case_file import parse_case_file, read_answers_file
-from retalis.testing.yaml_values import CaseFileError
+from retalis.testing.yaml_documents import CaseFileError
 
 CASE = """\
 rules: |

@@ -9,7 +9,7 @@ from retalis.prolog.syntax.operators import Operators
 from retalis.prolog.syntax.term_reader import read_term
 from retalis.testing.case_definition import TermText, Tolerance
 from retalis.testing.term_comparison import read_pattern
-from retalis.testing.yaml_values import CaseFileError
+from retalis.testing.yaml_documents import CaseFileError
 
 PLACE = Place("mine_test.yaml", 7, 3)
 START = 1_000_000_000 * 10**9

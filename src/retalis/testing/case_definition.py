@@ -9,7 +9,7 @@ from typing import Any, Mapping, NamedTuple, Optional, Tuple
 
 from ..foundation.errors import Place
 from ..prolog.terms.timestamps import SECOND
-from .yaml_values import YamlValue
+from .yaml_documents import YamlValue
 
 DEFAULT_START = 1_000_000_000 * 10**9
 """Start of a case without bags in nanoseconds since the epoch."""

@@ -30,7 +30,7 @@ from .case_definition import (
     TermText,
     Tolerance,
 )
-from .yaml_values import CaseFileError, YamlValue, parse_yaml
+from .yaml_documents import CaseFileError, YamlValue, parse_yaml
 
 MAX_FILE_BYTES = 20_000_000
 """Maximum size of a test file."""

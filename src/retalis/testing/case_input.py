@@ -14,7 +14,7 @@ from ..playback.rosbag1 import Record, Topic, UnreadableTopic
 from .case_definition import DEFAULT_START, Case, CaseMessage, InputBag
 from .input_mutations import MessageMutator
 from .message_values import make_input_message
-from .yaml_values import CaseFileError
+from .yaml_documents import CaseFileError
 
 
 class _SelectedTopics(NamedTuple):

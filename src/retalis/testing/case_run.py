@@ -47,7 +47,7 @@ from .input_mutations import InputMessage, MessageMutator, largest_amount, mutat
 from .offline_ros import OfflineRos
 from .rule_coverage import CoverageRecorder, CoveredPart
 from .term_comparison import read_pattern, read_term_text
-from .yaml_values import CaseFileError
+from .yaml_documents import CaseFileError
 
 MAX_EXPLANATIONS = 5
 """Maximum number of explanations of a failure."""

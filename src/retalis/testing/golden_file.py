@@ -13,7 +13,7 @@ from ..prolog.syntax.term_writer import canonical_text
 from ..prolog.terms import timestamps
 from .case_definition import DEFAULT_WITHIN, ExpectedItem, TermText, Tolerance
 from .expectation_checks import RunItem
-from .yaml_values import CaseFileError
+from .yaml_documents import CaseFileError
 
 _FIELDS = {"time": (int, float), "topic": (str,), "output": (str,)}
 

@@ -37,7 +37,7 @@ from .case_run import CaseResult, compare_solutions, format_failure, list_input_
 from .expectation_checks import Failure, RunItem, SequenceCheck, functor_of
 from .message_values import make_input_message
 from .term_comparison import read_term_text
-from .yaml_values import CaseFileError
+from .yaml_documents import CaseFileError
 
 LIVE_WITHIN = SECOND // 2
 """Allowed difference in nanoseconds of times, unless the case states another one."""

@@ -8,7 +8,7 @@ from ..messages.type_definition import TIMES, Definition, Field
 from ..prolog.terms import timestamps
 from .case_definition import Tolerance
 from .message_values import find_constant, read_float, read_time
-from .yaml_values import CaseFileError, YamlValue
+from .yaml_documents import CaseFileError, YamlValue
 
 FLOAT32_ROUNDING = 1.2e-7
 """Relative difference of numbers of type ``float32`` that is always allowed: the distance between two of them."""

@@ -24,7 +24,7 @@ from ..messages.type_definition import (
 from ..messages.type_registry import Definitions
 from ..prolog.terms import timestamps
 from .case_definition import CaseMessage
-from .yaml_values import CaseFileError, YamlValue
+from .yaml_documents import CaseFileError, YamlValue
 
 _TIME_KEYS = {"secs": "nsecs", "sec": "nanosec"}
 """Names of the slots of a time in ROS 1 and ROS 2."""

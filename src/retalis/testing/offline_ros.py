@@ -15,7 +15,7 @@ from ..prolog.terms import timestamps
 from .case_definition import ServiceAnswer, Tolerance
 from .message_comparison import SlotComparison
 from .message_values import serialize_slots
-from .yaml_values import CaseFileError
+from .yaml_documents import CaseFileError
 
 
 class OfflineRos:

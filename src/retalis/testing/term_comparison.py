@@ -15,7 +15,7 @@ from ..prolog.terms import timestamps
 from ..prolog.terms.types import Term, Var, deref
 from ..prolog.terms.unification import compare
 from .case_definition import TermText, Tolerance
-from .yaml_values import CaseFileError
+from .yaml_documents import CaseFileError
 
 _NUMBERS = (int, float)
 

@@ -11,12 +11,12 @@ from ..language.rule_heads import makes_event
 from ..language.state_parser import HOLDS
 from .abstract_environment import AbstractValue, Environment
 from .condition_checks import IS, NUMERIC_COMPARISONS
-from .created_events import CreatedEvents
-from .flow_tables import FlowTables, clause_head, raised_event
+from .created_event_values import CreatedEvents
 from .memory_checks import RECORD_READS
 from .predicate_checks import ASSERTING_PREDICATES
 from .program_model import ProgramModel
-from .value_conflicts import ConflictReporter, place_in
+from .value_conflict_reports import ConflictReporter, place_in
+from .value_flow_tables import FlowTables, clause_head, raised_event
 from .value_kinds import (
     COMPOUND,
     LIST,

@@ -21,10 +21,10 @@ from ..language.pattern_tree import (
 )
 from ..streams.aggregates import AGGREGATES
 from .abstract_environment import Environment
-from .flow_tables import EventSignatures, FlowTables
 from .goal_transfer import MAX_NESTING, GoalTransfer
 from .program_model import wrap_term
-from .value_conflicts import NUMBER_ADVICE, ConflictReporter
+from .value_conflict_reports import NUMBER_ADVICE, ConflictReporter
+from .value_flow_tables import EventSignatures, FlowTables
 from .value_kinds import LIST, NUMBER, WORD, Kinds, ValueOrigin, kinds_of_slot, kinds_of_type
 
 _REV = functor("rev", 1)

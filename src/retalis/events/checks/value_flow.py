@@ -7,12 +7,12 @@ those of its body to its head.
 
 The transfer functions of patterns and goals (`pattern_transfer`, `goal_transfer`) evaluate the parts of the program
 (rules, clauses with variables, memories, states, goals) until nothing changes. A part is evaluated again if
-something that it has read (`flow_tables`) gets a new kind. Kinds are only added and their number is bounded, so the
-time is linear in the size of the program, and recursion ends. Facts are read once.
+something that it has read (`value_flow_tables`) gets a new kind. Kinds are only added and their number is bounded, so
+the time is linear in the size of the program, and recursion ends. Facts are read once.
 
 The results are upper bounds. Whatever is not known has all kinds: events of other programs (``input_event/1``, or no
 producer in this one), results of other goals, tabled predicates, and dynamic predicates that are changed from outside
-only. A last pass over all parts reports where two sets of values have nothing in common (`value_conflicts`).
+only. A last pass over all parts reports where two sets of values have nothing in common (`value_conflict_reports`).
 `variable_type_checks` compares the uses of a variable of a slot in the same rule.
 """
 
@@ -23,12 +23,12 @@ from ...prolog.terms.term_traversal import variables
 from ...prolog.terms.types import TRUE, Atom, CompoundTerm, Functor, Term, deref
 from ..language.rule_heads import ALARMS, SYNCHRONIZED
 from .abstract_environment import Environment
-from .created_events import CreatedEvents
-from .flow_tables import EventSignatures, FlowTables, Values, Worklist
+from .created_event_values import CreatedEvents
 from .goal_transfer import GoalTransfer
 from .pattern_transfer import PatternTransfer
 from .program_model import NECK, EventConsumer, ProgramModel, SourceRule, SourceTerm, StateDeclaration, key_of
-from .value_conflicts import ConflictReporter, ProgramPart
+from .value_conflict_reports import ConflictReporter, ProgramPart
+from .value_flow_tables import EventSignatures, FlowTables, Values, Worklist
 
 
 class _ClauseTerm(NamedTuple):

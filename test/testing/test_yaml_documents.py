@@ -6,8 +6,8 @@ from hypothesis import strategies as st
 from ruamel.yaml import YAML
 from ruamel.yaml.compat import StringIO
 
-from retalis.testing import yaml_values
-from retalis.testing.yaml_values import CaseFileError, parse_yaml
+from retalis.testing import yaml_documents
+from retalis.testing.yaml_documents import CaseFileError, parse_yaml
 
 PLAIN_VALUES = st.recursive(
     st.none()
@@ -104,7 +104,7 @@ def test_number_forms() -> None:
 
 
 def test_aliases_count_towards_limit(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(yaml_values, "MAX_VALUES", 1000)
+    monkeypatch.setattr(yaml_documents, "MAX_VALUES", 1000)
     levels = ["a0: &a0 [1,1,1,1,1,1,1,1,1]"]
     levels += [f"a{level}: &a{level} [{','.join([f'*a{level - 1}'] * 9)}]" for level in range(1, 9)]
     with pytest.raises(CaseFileError, match="has more than 1000 values"):

@@ -5,9 +5,9 @@ from typing import Any, List, NamedTuple
 from ...messages.type_definition import Definition
 from ...prolog.terms.types import CompoundTerm, deref
 from .abstract_environment import Environment
-from .flow_tables import EventSignatures, FlowTables
 from .program_model import subterms, wrap_term
-from .value_conflicts import ConflictReporter, place_in
+from .value_conflict_reports import ConflictReporter, place_in
+from .value_flow_tables import EventSignatures, FlowTables
 from .value_kinds import (
     ATOM,
     BOOL,
