@@ -99,15 +99,17 @@ def test_junit_report_is_written(capsys: pytest.CaptureFixture[str], folder: Pat
 
 def test_coverage_below_threshold_has_status_1(capsys: pytest.CaptureFixture[str], folder: Path) -> None:
     low = '[{at: 0, event: "temperature(eve, 37)"}, {at: 1, event: "temperature(eve, 37)"}, '
-    covering = PASSING.replace("[{at: 1,", low + "{at: 1,")
+    state = "state: [{query: 'memory_counter(temperatures, _)', expect: true}]"
+    covering = fever_file("outputs: {count: 2}\n" + state)
+    covering = covering.replace("[{at: 1,", low + "{at: 1,")
     (folder / "a_test.yaml").write_text(covering)
     status, text = run_test(capsys, "--coverage", "--threshold", "100")
     assert status == 0
-    assert text.endswith("memory             1     1\n100 % covered\n")
+    assert text.endswith("memory             2     2\n100 % covered\n")
     (folder / "a_test.yaml").write_text(covering.replace("rules: |\n", "rules: |\n  cold <- frost(_).\n"))
     status, text = run_test(capsys, "--threshold", "90", "--cobertura", "coverage.xml")
     assert status == 1
-    assert text.endswith("coverage 78 % is below the threshold of 90 %\n")
+    assert text.endswith("coverage 80 % is below the threshold of 90 %\n")
     assert (folder / "coverage.xml").exists()
 
 

@@ -52,9 +52,29 @@ def test_parts_have_their_uses(definitions: Definitions) -> None:
         ("pattern", "mine_test.yaml:2", "2, heat", 1, "fire"),
         ("pattern", "mine_test.yaml:3", "1, frost", 0, "cold"),
         ("subscription", "", "a of topic alarms", 0, ""),
-        ("memory", "", "smokes", 1, ""),
-        ("memory", "", "frosts", 0, ""),
+        ("memory", "", "smokes, stored", 1, ""),
+        ("memory", "", "smokes, read", 0, ""),
+        ("memory", "", "frosts, stored", 0, ""),
+        ("memory", "", "frosts, read", 0, ""),
     ]
+
+
+@pytest.mark.parametrize(
+    "query",
+    [
+        "prev(smokes, _, _, _, 1000000002)",
+        "\\+ next(smokes, _, _, _, 1000000002, 1000000003)",
+        "newest_matching(smokes, _, _, _)",
+        "access_mem(smokes, _, _)",
+        "memory_counter(smokes, 1)",
+        "memory_size(Name, 5), Name == smokes",
+    ],
+)
+def test_queries_read_memories(query: str, definitions: Definitions) -> None:
+    text = CASE.replace("expect: {}", f"expect: {{state: [{{query: '{query}', expect: true}}]}}")
+    uses = {part.text: part.uses for part in collect(text, definitions)}
+    assert uses["smokes, read"] > 0
+    assert (uses["frosts, read"] > 0) == ("Name" in query)
 
 
 def test_declarations_of_events_are_no_clauses(definitions: Definitions) -> None:
@@ -142,19 +162,19 @@ def test_many_calls_of_clauses_are_counted(definitions: Definitions) -> None:
 def test_uses_of_runs_are_added(definitions: Definitions) -> None:
     runs = [collect(CASE.replace("heat(attic)", "heat(hall)"), definitions), collect(CASE, definitions)]
     merged = merge_parts(runs)
-    assert len(merged) == 8
+    assert len(merged) == 10
     assert merged[0].uses == 1
-    assert round(covered_percentage(merged)) == 62
+    assert round(covered_percentage(merged)) == 50
     lines = list(format_coverage(merged))
     assert lines[:5] == [
         "coverage        used   all",
         "rule               1     2",
         "pattern            2     3",
         "subscription       1     1",
-        "memory             1     2",
+        "memory             1     4",
     ]
     assert lines[5].startswith("not used: cold (mine_test.yaml:3): rule cold<-frost(")
-    assert lines[-1] == "62 % covered"
+    assert lines[-1] == "50 % covered"
 
 
 @settings(max_examples=30, deadline=None)

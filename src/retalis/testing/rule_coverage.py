@@ -6,6 +6,7 @@ that never fired may still have parts that matched.
 """
 
 from functools import partial
+from itertools import islice
 from pathlib import Path
 from typing import Collection, Dict, Iterable, Iterator, List, NamedTuple, Sequence, Tuple
 from xml.etree import ElementTree
@@ -43,9 +44,9 @@ class CoveredPart(NamedTuple):
     Attributes:
         type: a type of `PART_TYPES`.
         place: file and line of the rule or clause, as ``FILE:LINE``; "" for subscriptions and memories.
-        text: the part. A condition has two parts, its outcomes true and false.
+        text: the part. A condition has two parts, its outcomes true and false; so has a memory: stored and read.
         uses: matches of a rule or branch, 1 for a pattern that has matched, tests of a condition with this outcome,
-            calls of a clause, outputs, or stored events.
+            calls of a clause, outputs, or stored events or look-ups of a memory.
         rule: name of the rule; "" for parts that are in no rule.
     """
 
@@ -125,8 +126,11 @@ class CoverageRecorder:
         for subscription in status.subscriptions:
             text = f"{subscription.id} of topic {subscription.topic}"
             yield CoveredPart(SUBSCRIPTION, "", _shorten(text), subscription.sent)
-        for memory in status.memories:
-            yield CoveredPart(MEMORY, "", _shorten(memory.id), memory.added)
+        memories = self._engine.program.knowledge.memories
+        for instance in islice(memories, MAX_LISTED):
+            name = self._engine.program.logic.brief(instance.id)
+            yield CoveredPart(MEMORY, "", _shorten(f"{name}, stored"), instance.memory.added_count)
+            yield CoveredPart(MEMORY, "", _shorten(f"{name}, read"), memories.lookup_count(instance.id))
 
     def _read_patterns(self, rule: EventRule) -> Iterator[_RulePattern]:
         """Yield the different patterns of events in a rule."""

@@ -7,6 +7,7 @@ with an unchanged definition continue with their records.
 """
 
 from bisect import bisect_left
+from collections import Counter
 from typing import Any, Callable, Dict, Hashable, Iterable, Iterator, List, Optional, Sequence, Tuple
 
 from ...foundation.callbacks import CallbackList
@@ -42,6 +43,23 @@ DELETED: Functor = functor("memory_deleted", 1)
 _NOTATION = "memorize(Pattern, Conditions, Template, Id, Size)"
 
 
+class CountedInstances(Dict[Hashable, MemoryInstance]):
+    """Memory instances by key that count their look-ups, for the coverage of a program by tests.
+
+    Attributes:
+        lookup_counts: number of look-ups by key, of instances that exist or existed.
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.lookup_counts: Counter[Hashable] = Counter()
+
+    def get(self, key: Hashable, default: Any = None) -> Any:
+        """Return the instance with a key, or a default, and count the look-up."""
+        self.lookup_counts[key] += key in self
+        return super().get(key, default)
+
+
 class MemoryInstances:
     """All memory instances of a program.
 
@@ -73,7 +91,8 @@ class MemoryInstances:
         self._stamp = stamp
         self._warn = warn
         self._note_gap = note_gap
-        self.instances: Dict[Hashable, MemoryInstance] = {}
+        counts_uses = logic.counted_clauses is not None
+        self.instances: Dict[Hashable, MemoryInstance] = CountedInstances() if counts_uses else {}
         self._tables = tables_of(logic.machine)
         self._active_tables = self._tables.active
         self._newest_recorder: Optional[Recorder] = None
@@ -110,7 +129,14 @@ class MemoryInstances:
         if self._active_tables:
             for key in (None, *self.instances):
                 self._tables.record_read(self, key)
+        if isinstance(self.instances, CountedInstances):
+            self.instances.lookup_counts.update(self.instances.keys())
         return list(self.instances.values())
+
+    def lookup_count(self, name: Term) -> int:
+        """Return how often goals have looked up a memory; 0 if the engine does not count uses."""
+        counts = self.instances.lookup_counts if isinstance(self.instances, CountedInstances) else {}
+        return counts.get(key_of(name), 0)
 
     def version(self, part: Hashable) -> object:
         """Return a value that changes with the records of the memory with a key, or, for None, with the memories."""
