@@ -18,7 +18,15 @@ from unittest.mock import patch
 
 from events.knowledge.test_event_states import ALARM, ExpectedStates, load_engine
 from events.network.test_stream_revision import RULES, random_events, remaining_outputs
-from events.streams.test_row_pattern import VALUE, expected_outputs, outputs_of_rule, rule_of
+from events.streams.test_row_pattern import (
+    VALUE,
+    expected_outputs,
+    expected_timeouts,
+    outputs_of_rule,
+    rule_of,
+    timeout_rule_of,
+    timeouts_of_rule,
+)
 
 from retalis import Clock, Engine, list_items
 from retalis.events.knowledge.event_states import DeclaredState
@@ -31,7 +39,8 @@ from retalis.events.streams.absence_timeout import AbsenceTimeout
 from retalis.events.streams.held_window import HeldSignal
 from retalis.events.streams.rate_operators import RATE_OPERATORS, Debounce, DistinctUntilChanged, Throttle
 from retalis.events.streams.row_pattern import RowPatternWindow
-from retalis.events.streams.row_pattern_automaton import RowPatternNFA, _LazyChoices, _PositionCompiler
+from retalis.events.streams.row_pattern_automaton import RowPatternNFA
+from retalis.events.streams.row_pattern_timeouts import RowPatternTimeouts
 from retalis.events.streams.session_window import SessionWindow
 from retalis.events.streams.stream_operators import StreamElement, StreamOutput
 from retalis.events.streams.windows import (
@@ -222,6 +231,17 @@ def steps(seed: int) -> bool:
     return bool(outputs_of_rule(rule_of(steps, skip), readings) != expected_outputs(steps, readings, skip))
 
 
+def timeouts(seed: int) -> bool:
+    """Compare matches of row patterns that time out with an exhaustive search."""
+    chance = Random(seed)
+    generator = Generator(chance.choice)
+    drawn = generator.grouped(generator.steps([VALUE], are_numbers=True))
+    span = chance.choice([2, 3, 4, 6])
+    readings = [(chance.choice("aab"), chance.randrange(4)) for _ in range(14)]
+    outputs = timeouts_of_rule(timeout_rule_of(drawn, span), readings)
+    return bool(outputs != expected_timeouts(drawn, readings, span))
+
+
 # ---- disabled mechanisms -----------------------------------------------------------------------------
 
 
@@ -321,14 +341,6 @@ def never_reluctant(plan: Any, position: int, may_end: bool, may_continue: bool)
         plan.steps = steps
 
 
-def one_copy(compiler: Any, part: Any, following: Any) -> Any:
-    """Let a loop have one copy of its steps."""
-    entries: List[Any] = []
-    body = compiler._enter_parts(part, _LazyChoices(lambda: entries[0].choices()))
-    entries.append(compiler._join(body, following, part.reluctant))
-    return entries[0]
-
-
 def never_over(stream: Any, instant: int) -> List[StreamOutput]:
     """Let no window end."""
     stream.next_deadline = None
@@ -404,7 +416,10 @@ MECHANISMS: Dict[str, Mechanism] = {
         method(RowPatternNFA, "advance_navigations", lambda plan, marks, at, item: (item,) * len(marks)),
         steps,
     ),
-    "counts begin again in loops": Mechanism(method(_PositionCompiler, "_enter_loop", one_copy), steps),
+    "steps in time do not time out": Mechanism(
+        method(RowPatternTimeouts, "_waiting_states", staticmethod(lambda partition: partition.states[:-1])),
+        timeouts,
+    ),
     "aggregates of steps": Mechanism(
         method(RowPatternNFA, "advance_totals", lambda plan, totals, step, item: totals), steps
     ),

@@ -321,6 +321,7 @@ def test_steps_use_stamps_of_events(kinds: str, steps: str, expected: str) -> No
         ),
         # the count of a step begins again in each repetition
         ("group([a(1, 2) where X < 5], 2, 3), b where X > 8", "s([1,2,3,4,9])@0-4"),
+        ("group([a(2) where X < 4], 1, many), b where X > 3", "s([2,3,4])@1-3"),
         ("(a where X > 8) or (b where X > 3), c", "s([4,9])@3-4 s([9,1])@5-6"),
         ("[a where X =:= 1, b] or c(3), d where X =:= 4", "s([1,2,3,4])@0-3"),
         ("permute([a where X > 8, b(2) where X < 5])", "s([3,4,9])@2-4 s([9,1,2])@5-7"),
