@@ -128,6 +128,8 @@ GOALS = [
         ((1,), ["low(X) <- a(X) where (format(atom(T), '~w', [X]), T == '1')."], Extent.PART),
         # A goal that may call others.
         ((1,), ["low(X) <- a(X) where (format(atom(T), '~p', [X]), T == '1')."], Extent.WHOLE),
+        # A property of the rules without a label.
+        ((), ["event_rule_property(unlabeled, window, 0.5)."], Extent.PART),
         # A predicate.
         ((0,), ["big(X) :- X > 3."], Extent.PART),
         # The bag has no messages d.

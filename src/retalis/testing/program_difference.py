@@ -68,6 +68,7 @@ from ..events.language.rule_heads import ALARMS, NEW_EVENT, SYNCHRONIZED, event_
 from ..events.language.stream_parser import subscription_event
 from ..events.network.event_rule import EventRule
 from ..events.program.topic_configuration import AUTO, TOPICS, Topics, direct_topics, read_topics
+from ..events.rules.rule_base import label_of
 from ..foundation.ros_name_checks import strip_slashes
 from ..messages.action_events import find_action_event
 from ..messages.type_registry import Definitions
@@ -282,11 +283,12 @@ class ProgramVersion:
         )
 
     def _make_rule_key(self, rule: EventRule) -> Hashable:
-        label = None if rule.label is None else term_key(rule.label)
-        properties = () if rule.label is None else tuple(self._program.rules.properties(rule.label))
+        # Rules without a label may have properties, too.
+        label = label_of(rule)
+        properties = self._program.rules.properties(label)
         return (
             rule.definition.key,
-            label,
+            term_key(label),
             tuple((prop.name, term_key(prop.value)) for prop in properties),
         )
 
