@@ -21,6 +21,8 @@ hopping(N) <- aggregate(count, tick, N, every(5)).
 from_first(N) <- aggregate(count, tick, N, every(5, first)).
 running(N) <- aggregate(count, tick, N, running(every(5))).
 session(N) <- aggregate(count, tick, N, session(2, max(5))).
+held(S) <- aggregate(duration(true), tick, S, held(every(5), max(1))).
+held_last(S) <- aggregate(duration(true), tick, S, held(last(10))).
 pair <- (left seq right) within 3.
 silent <- left seq absent(never, 0.5).
 """
@@ -53,8 +55,8 @@ def test_single_stamp_far_ahead_does_not_move_time() -> None:
     expected = FarStamps().run(range(100))
     run = FarStamps()
     counts = run.run(range(100), {25: YEAR})
-    assert (counts["last_10"], counts["running"]) == (99, 99)
-    for name in ("pair", "silent", "hopping", "from_first", "session", "beat"):
+    assert (counts["last_10"], counts["running"], counts["held_last"]) == (99, 99, 99)
+    for name in ("pair", "silent", "hopping", "from_first", "session", "held", "beat"):
         assert counts[name] == expected[name], name
     (warning,) = run.reports.messages
     assert warning.startswith(
@@ -69,9 +71,10 @@ def test_clock_returns_from_single_stamp_ahead(distance: int) -> None:
     run = FarStamps()
     counts = run.run(range(1000), {250: distance})
     # Three events show the error; what they belong to is lost, and alarms between the two times ring once more.
-    for name in ("last_10", "running", "pair", "silent"):
+    for name in ("last_10", "running", "held_last", "pair", "silent"):
         assert expected[name] - 3 <= counts[name] <= expected[name], name
-    assert counts["hopping"] >= expected["hopping"] - 1
+    for name in ("hopping", "held"):
+        assert counts[name] >= expected[name] - 1
     assert counts["beat"] >= expected["beat"]
     assert run.engine.clock.now() == from_seconds(START + 999.2)
     # One line names the event; the other one is that of a rule with a late event.

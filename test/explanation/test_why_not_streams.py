@@ -13,6 +13,8 @@ NOT_FIRED = {
     "w(X) <- aggregate(count, never, X, every(5)).": "aggregate over every(5.0): nothing was measured",
     "w(N) <- aggregate(count, in(_), N, session(5)).": "aggregate over session(5.0): no window has ended",
     "w(N) <- aggregate(count, in(_), N, session(1.5)).": "aggregate over session(1.5): other results: 2 [1,2]",
+    "w(A) <- aggregate(avg(X), in(X), A, held(every(5))).": "aggregate over held(every(5.0)): no window has ended",
+    "w(A) <- aggregate(max(X), in(X), A, held(every(1))).": "aggregate over held(every(1.0)): other results: ",
     "w(X) <- never(X) with throttle(5).": "? with throttle(5.0): not tested",
     "w(X) <- (in(_) with debounce(5)) seq in(X).": "debounce(5.0): the 5 seconds after the last one are not over",
     "w(9) <- (in(X) with change(X)) where X > 2.": "where X > 2: false for X = 1 at 1; X = 2 at 2",

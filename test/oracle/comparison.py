@@ -110,8 +110,22 @@ def revised_answer(case: Case) -> List[Fired]:
     )
 
 
+def may_set_clock_back(case: Case) -> bool:
+    """Return whether a clock that follows the events of a case may return from a step of more than ten seconds."""
+    ends = [end for _, _, end in case.stream]
+    for position, end in enumerate(ends):
+        is_step = position > 0 and end > max(ends[:position]) + 10
+        # No event precedes the first one, so only much earlier times after it show that it was a step.
+        limit = end if is_step else end - 10
+        if (is_step or not position) and sum(later_end < limit for later_end in ends[position + 1 :]) >= 3:
+            return True
+    return False
+
+
 def is_defined(case: Case) -> bool:
     """Return whether the oracle defines the results of a case."""
+    if case.has_streams() and may_set_clock_back(case):
+        return False
     return not case.revises() or revision.defined_for(case.rules, case.policy, case.out_of_order)
 
 

@@ -18,6 +18,8 @@ RULES = {
     "first": "out(M, A) <- aggregate(list(T), t(M, T), A, every(4, first)).",
     "session": "out(M, A) <- aggregate(list(T), t(M, T), A, session(2)).",
     "bounded session": "out(M, A) <- aggregate(count, t(M, T), A, session(2, max(4))).",
+    "held": "out(M, A) <- aggregate([avg(T), max(T)], t(M, T), A, held(last(6, every(2)), max(4))).",
+    "held last": "out(M, A) <- aggregate([avg(T), duration(T > 1)], t(M, T), A, held(last(6))).",
     "running": "out(M, A) <- aggregate(count, t(M, T), A, running(every(4))).",
     "steps": "out(M, A) <- aggregate(list(T), t(M, T), A, steps([a(1, 2), later(b) where T > prev(T)])).",
     "greedy": "out(M, A) <- aggregate(list(T), t(M, T), A, steps([a(1, many) where T >= prev(T)])).",
@@ -94,7 +96,7 @@ def test_retraction_removes_joined_output() -> None:
 def test_retraction_in_long_stream(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(stream_node, "MAX_REPLAYED_ELEMENTS", 5)
     events = [(f"t(a,{number})", 10 + number) for number in range(30)]
-    for name in ("last", "newest", "batch", "every", "hopping", "running", "session"):
+    for name in ("last", "newest", "batch", "every", "hopping", "running", "session", "held", "held last"):
         with_retraction = [*events, ("rev(t(a,28))", 40)]
         without_event = [event for event in events if event[0] != "t(a,28)"]
         assert remaining_outputs(RULES[name], with_retraction) == remaining_outputs(

@@ -109,7 +109,7 @@ def test_value_later_than_its_window_is_reported_and_lasts_in_next_one() -> None
     runner = RuleRunner(rule("avg(X)", "held(every(10))"))
     assert runner.feed("q(a,4)@2 tick@12 q(a,8)@9 tick@20") == "o(a,4)@0-10 o(a,8)@10-20"
     assert runner.engine.rules.rules[0].late_count == 1
-    assert "its value lasts in later windows" in runner.reports.messages[0]
+    assert "its value counts if it lasts longer" in runner.reports.messages[0]
 
 
 def test_value_replaced_before_sliding_window_is_too_late() -> None:

@@ -12,8 +12,9 @@ STEPS = "aggregate(list(V), q(K, V), L, steps([up where V == up, down where V ==
 LAST = "aggregate(list(V), q(K, V), L, last(3, events))"
 EVERY = "aggregate(list(V), q(K, V), L, every(3, events))"
 RUNNING = "aggregate(list(V), q(K, V), L, running(every(3, events)))"
+HELD = "aggregate(last(V), q(K, V), L, held(last(5)))"
 CHANGE = "(q(K, L) with change(L, K))"
-UNTIMED = {"steps": STEPS, "last": LAST, "every": EVERY, "running": RUNNING, "change": CHANGE}
+UNTIMED = {"steps": STEPS, "last": LAST, "every": EVERY, "running": RUNNING, "change": CHANGE, "held": HELD}
 TIMED = {
     "sliding": "aggregate(list(V), q(K, V), L, last(5))",
     "tumbling": "aggregate(list(V), q(K, V), L, every(5))",
@@ -21,6 +22,8 @@ TIMED = {
     "hopping": "aggregate(list(V), q(K, V), L, last(10, every(5)))",
     "present": "aggregate(list(V), q(K, V), L, running(every(5)))",
     "session": "aggregate(list(V), q(K, V), L, session(5))",
+    "held every": "aggregate(last(V), q(K, V), L, held(every(5), max(5)))",
+    "held at most": "aggregate(last(V), q(K, V), L, held(last(5), max(5)))",
     "throttle": "(q(K, L) with throttle(5, K))",
     "burst": "(q(K, L) with burst(5, K))",
     "debounce": "(q(K, L) with debounce(5, K))",
@@ -160,7 +163,18 @@ def test_time_to_live_of_label_overrides_flag() -> None:
 
 @pytest.mark.parametrize(
     "operator",
-    [*UNTIMED, "sliding", "tumbling", "first", "hopping", "present", "session", "throttle", "burst"],
+    [
+        *UNTIMED,
+        "sliding",
+        "tumbling",
+        "first",
+        "hopping",
+        "present",
+        "session",
+        "held every",
+        "throttle",
+        "burst",
+    ],
 )
 def test_least_recently_used_keys_are_evicted(operator: str) -> None:
     runner = RuleRunner(

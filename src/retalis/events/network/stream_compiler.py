@@ -233,7 +233,9 @@ _WINDOWS: Dict[str, Callable[[Any, Any], StreamOperator]] = {
 }
 # Reports of events that arrive too late.
 _LATE_FOR_WINDOW = "an event is too late and is not measured: its window has ended"
-_LATE_FOR_HELD_WINDOW = "an event is too late for a window that has ended: its value lasts in later windows"
+_LATE_FOR_HELD_WINDOW = (
+    "an event is too late for a window that has ended: its value counts if it lasts longer"
+)
 _LATE_FOR_DELAYED_MATCH = (
     "an event is too late and is ignored: the time in which a newer one could follow has passed"
 )
