@@ -151,6 +151,20 @@ def test_difference_has_extent(folder: Path, replaced: Any, rules: List[str], ex
     assert comparison.changes or extent is not Extent.PART
 
 
+def test_bag_with_topic_of_one_version_is_read(folder: Path) -> None:
+    topics = TOPICS + '<subscribe_to name="a_or_b" msg_type="test_msgs/A" event="unused"/>'
+    folders = [
+        write_program(folder / "old", RULES, GOALS),
+        write_program(folder / "new", RULES, GOALS, topics),
+    ]
+    assert compare(folders, folder / "some.bag").extent is Extent.UNREACHED
+    # Its type may be another one, which is an error.
+    write_program(folder / "new", RULES, GOALS, topics.replace("a_or_b", "c"))
+    write_program(folder / "old", RULES, GOALS, TOPICS.replace('name="c"', 'name="unused"'))
+    write_bag(folder / "other.bag", [], "c")
+    assert compare(folders, folder / "other.bag").extent is Extent.PART
+
+
 def test_rules_in_another_order_are_different(folder: Path) -> None:
     first, second, last = "low(1) <- a(_).", "low(2) <- a(_).", "last(X) <- low(X) and b(_)."
     goals = ["subscribe(last(_), [], _, t, s)", "subscribe(high(_), [], _, t_high, s)"]

@@ -476,7 +476,8 @@ def _find_part(old: ProgramVersion, new: ProgramVersion, bag: Bag) -> VersionDif
     }
     names = {topic.event for topic in topics}
     _close(consumers, reached, names, lambda consumer: consumer.awaited, lambda consumer: consumer.raised)
-    if not reached:
+    # A topic that only one version reads may have an unexpected type, which is an error.
+    if not reached and _list_available_topics(bag).isdisjoint(topic.topic for topic in topics):
         return VersionDifference(Extent.UNREACHED)
     # Outputs of a topic are compared with each other.
     output_topics = {consumer.output_topic for consumer in reached if consumer.output_topic}
@@ -519,9 +520,14 @@ def _list_topics(topics: Topics) -> Set[_TopicEvents]:
     return set(first.values())
 
 
+def _list_available_topics(bag: Bag) -> Set[str]:
+    """Return the full names of the topics of a bag."""
+    return set(map(strip_slashes, list_topic_names(bag)))
+
+
 def _select_possible(version: ProgramVersion, bag: Bag) -> List[_SliceItem]:
     """Return the rules and subscriptions that may receive all events that they need from a bag."""
-    available = {strip_slashes(name) for name in list_topic_names(bag)}
+    available = _list_available_topics(bag)
     names = {key.name for key in OWN_EVENTS}
     for topic in _list_topics(version.topics):
         # The events of an action come from several topics.
