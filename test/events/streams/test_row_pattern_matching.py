@@ -116,6 +116,20 @@ def test_partial_matches_are_limited() -> None:
     assert "has more than 50 partial matches" in str(program.warnings[0])
 
 
+@pytest.mark.parametrize("window", ["{}", "timed_out({}, 900)"])
+def test_overlapping_matches_are_limited(window: str) -> None:
+    steps = "steps([a(1, many) where X < 900, b where X > 900], [after_match(skip_to_next)])"
+    rule = f"s(L) <- aggregate(list(X), e(X), L, {window.format(steps)})."
+    program = ProgramRunner(rule, clock=StreamClock())
+    program.engine.rules.network.limit_stored(50)
+    (event_rule,) = program.engine.rules.rules
+    for second in range(120):
+        assert program.feed(f"e({second})@{second}") == ""
+        assert event_rule.match_count <= 50
+    assert event_rule.dropped_count == 70
+    assert "has more than 50 partial matches" in str(program.warnings[0])
+
+
 @pytest.mark.parametrize(
     ("steps", "expected"),
     [

@@ -24,9 +24,19 @@ from collections import OrderedDict, deque
 from operator import itemgetter
 from typing import Callable, Container, Deque, Dict, Hashable, List, NamedTuple, Optional, Sequence, Tuple
 
+from ...foundation.errors import RuleError
 from ...prolog.terms.timestamps import BEFORE_ALL_INSTANTS
 from ...prolog.terms.types import Term, Values
-from ...serialization.field_types import COUNT, INSTANT, FieldType, integer, optional, sequence_of, tuple_of
+from ...serialization.field_types import (
+    COUNT,
+    INSTANT,
+    FieldType,
+    integer,
+    invalid_value,
+    optional,
+    sequence_of,
+    tuple_of,
+)
 from ...serialization.state_fields import StateFields, constraint, field, rows_of
 from .aggregates import Accumulator
 from .row_pattern_automaton import (
@@ -788,6 +798,10 @@ class RowPatternWindow(StreamOperator):
                 CompletedMatch(_matched_elements(match, element_by_order), match[0][0]) for match in completed
             )
             partition.states = [self._state_of(state, element_by_order) for state in states]
+        except RuleError as error:
+            raise invalid_value(
+                elements[0].key_values, f"a row pattern with valid values: {error.message}"
+            ) from None
         except KeyError:
             # Elements are missing.
             partition.completed.clear()
