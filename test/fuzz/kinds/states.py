@@ -50,6 +50,8 @@ w(N, S) <- aggregate([count, sum(X)], a(X) where number(X), [N, S], last(30)).
 e(X, N) <- aggregate(count, a(X), N, every(4)).
 g(N) <- aggregate(max(X), a(X) where number(X), N, every(6, first)).
 h(N) <- aggregate(median(X), a(X) where number(X), N, last(6, every(2))).
+held(A, D) <- aggregate([avg(X), duration(X > 1)], a(X) where number(X), [A, D], held(last(6, every(2)), max(9))).
+last(A) <- aggregate(min(X), a(X) where number(X), A, held(last(6))).
 z(X) <- (a(X) with debounce(3, X)).
 k(X, Y) <- (a(X) with change(X)) seq b(Y).
 l(X, Y) <- (b(X) seq c(Y)) fnot a(X).
