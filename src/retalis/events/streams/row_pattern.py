@@ -55,7 +55,12 @@ from .windows import MAX_TRACKED_ELEMENTS, have_distinct_keys, results_or_error
 
 def passes_tests(tests: Sequence[StepTest], state: "ComputationState", element: StreamElement) -> bool:
     """Return whether an element satisfies all tests whose navigations and aggregates have values."""
-    return all(passes_test(test, state, element) is not False for test in tests)
+    # Called for each state and element, for which a generator takes longer than a loop.
+    for test in tests:
+        result = passes_test(test, state, element)
+        if result is False:
+            return False
+    return True
 
 
 def ends_step(tests: Sequence[StepTest], state: "ComputationState", element: StreamElement) -> bool:
@@ -77,6 +82,8 @@ def passes_test(test: StepTest, state: "ComputationState", element: StreamElemen
         if target is None:
             return None
         elements.append(target)
+    if not test.aggregates:
+        return test.is_satisfied(element, elements, ())
     results = []
     for number, aggregate, includes_current in test.aggregates:
         total = state.totals[number]
