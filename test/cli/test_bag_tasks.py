@@ -143,4 +143,7 @@ def test_error_names_url_of_bag(program: Any, tmp_path: Path) -> None:
     pytest.importorskip("fsspec")
     (tmp_path / "bad.bag").write_text("no bag")
     result = play_bag(make_task(program, f"file://{tmp_path}/bad.bag", tmp_path / "r", None), str(tmp_path))
-    assert result.failure == f"file://{tmp_path}/bad.bag is not a complete ROS 1 bag: File magic is invalid"
+    assert (
+        result.failure
+        == f"file://{tmp_path}/bad.bag is not a complete ROS 1 bag: it does not begin with '#ROSBAG V2.0'"
+    )

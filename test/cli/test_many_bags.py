@@ -40,7 +40,8 @@ def test_output_equals_that_of_single_bags(
     captured = capfd.readouterr()
     assert captured.out == expected.out
     assert captured.err == (
-        f"error: {bags}/r1/aa.bag is not a complete ROS 1 bag: File magic is invalid\n1 of 4 bags failed\n"
+        f"error: {bags}/r1/aa.bag is not a complete ROS 1 bag: it does not begin with '#ROSBAG V2.0'\n"
+        "1 of 4 bags failed\n"
     )
 
 

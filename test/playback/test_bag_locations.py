@@ -95,7 +95,7 @@ def test_names_group_parts_of_recording(names: Tuple[Any, ...], recordings: List
 
 def test_folder_without_bags_is_an_error(tmp_path: Path) -> None:
     with pytest.raises(
-        BagError, match="has no bags below it: no metadata.yaml, nothing that ends in .bag, .db3"
+        BagError, match="has no bags below it: no metadata.yaml, nothing that ends in .bag, .bag.active, .db3"
     ):
         find_bags([str(tmp_path)])
 

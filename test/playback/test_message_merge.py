@@ -6,7 +6,7 @@ from typing import Any, Callable, Iterator, List, Set, Tuple
 from hypothesis import given
 from hypothesis import strategies as st
 
-from retalis.playback.ros2_storage import merge_by_time
+from retalis.playback.message_merge import merge_by_time
 
 
 def make_sources(

@@ -168,22 +168,6 @@ def test_file_of_other_format_is_an_error(tmp_path: Path, content: bytes) -> Non
         BagReader(path)
 
 
-def test_truncated_bag_is_an_error(bag: Path, tmp_path: Path) -> None:
-    content = bag.read_bytes()
-    truncated = tmp_path / "cut.bag"
-    for size in range(0, len(content), 97):
-        truncated.write_bytes(content[:size])
-        with pytest.raises(BagError), BagReader(truncated) as reader:
-            list(reader.records())
-
-
-def test_repair_of_truncated_bag_is_suggested(bag: Path, tmp_path: Path) -> None:
-    truncated = tmp_path / "cut.bag"
-    truncated.write_bytes(bag.read_bytes()[:-100])
-    with pytest.raises(BagError, match="its index is missing or damaged: repair it with 'rosbag reindex'$"):
-        BagReader(truncated)
-
-
 def test_overwritten_bytes_raise_bag_errors_only(bag: Path, tmp_path: Path) -> None:
     content = bag.read_bytes()
     broken = tmp_path / "broken.bag"
@@ -296,8 +280,7 @@ def test_empty_file_is_named_by_its_path(tmp_path: Path) -> None:
     path.touch()
     with pytest.raises(BagError) as raised:
         BagReader(path)
-    assert str(raised.value).count(str(path)) == 2
-    assert " at 0x" not in str(raised.value)
+    assert str(raised.value) == f"{path} is not a complete ROS 1 bag: it does not begin with '#ROSBAG V2.0'"
 
 
 LIMIT = ChunkLimit(1)

@@ -15,6 +15,7 @@ from operator import attrgetter
 from pathlib import Path, PurePosixPath
 from tempfile import TemporaryDirectory
 from typing import (
+    TYPE_CHECKING,
     Any,
     Collection,
     Dict,
@@ -33,7 +34,10 @@ from ..foundation.output_files import replace_file, target_name_of
 from ..prolog.terms.timestamps import SECOND
 from .decompression import MAX_CHUNK_MEGABYTES, copy_up_to, describe_error
 from .rosbag1 import BagError, BagReader, PathLike, Record, Topic, UnreadableTopic
-from .rosbag2 import METADATA, SUFFIXES, Ros2BagReader
+from .rosbag2 import METADATA, SUFFIXES, Ros2BagReader, is_ros2_bag
+
+if TYPE_CHECKING:
+    from .bag_files import IncompleteFile
 
 SingleBag = Union[BagReader, Ros2BagReader]
 
@@ -42,7 +46,10 @@ Bag = Union[SingleBag, "MergedBag"]
 
 
 def open_bag(
-    path: PathLike, max_chunk_megabytes: int = MAX_CHUNK_MEGABYTES, message_folders: Sequence[str] = ()
+    path: PathLike,
+    max_chunk_megabytes: int = MAX_CHUNK_MEGABYTES,
+    message_folders: Sequence[str] = (),
+    strict: bool = False,
 ) -> SingleBag:
     """Open a bag of ROS 1 (a file) or of ROS 2 (a folder, or a file whose name ends with one of `SUFFIXES`).
 
@@ -51,14 +58,15 @@ def open_bag(
         max_chunk_megabytes: maximum size of a chunk or compressed message after decompression. A compressed file may
             have a hundred times its own size after decompression if that is more.
         message_folders: folders with the types that a bag of ROS 2 does not define; see `InstalledTypes`.
+        strict: whether an incomplete bag is an error.
 
     Raises:
         BagError: if the bag cannot be read.
     """
     path = Path(path)
     if path.is_dir() or (path.is_file() and path.name.endswith(SUFFIXES)):
-        return Ros2BagReader(path, max_chunk_megabytes, message_folders)
-    return BagReader(path, max_chunk_megabytes)
+        return Ros2BagReader(path, max_chunk_megabytes, message_folders, strict)
+    return BagReader(path, max_chunk_megabytes, strict)
 
 
 class MergedBag:
@@ -72,12 +80,13 @@ class MergedBag:
         paths: bags of ROS 1 or of ROS 2.
         start: seconds to skip after the first message of all bags.
         duration: seconds to read from there; up to the end by default.
-        max_chunk_megabytes, message_folders: as for `open_bag`.
+        max_chunk_megabytes, message_folders, strict: as for `open_bag`.
 
     Attributes:
         path: description of the bags for messages.
         topics: connections of all bags.
         unreadable: topics of all bags that cannot be read.
+        incomplete_files: what is missing in the bags that a crash has cut.
         start, end: times of the first and the last message that are read, in nanoseconds; 0 for empty bags.
 
     Raises:
@@ -92,13 +101,14 @@ class MergedBag:
         duration: Optional[float] = None,
         max_chunk_megabytes: int = MAX_CHUNK_MEGABYTES,
         message_folders: Sequence[str] = (),
+        strict: bool = False,
     ):
         _reject_duplicates(paths)
         # The bags that are open already are closed if a later one cannot be opened.
         with ExitStack() as stack:
             self._bags: List[SingleBag] = []
             for path in paths:
-                self._bags.append(open_bag(path, max_chunk_megabytes, message_folders))
+                self._bags.append(open_bag(path, max_chunk_megabytes, message_folders, strict))
                 stack.callback(self._bags[-1].close)
             self._select_interval(start, duration)
             self._stack = stack.pop_all()
@@ -106,6 +116,9 @@ class MergedBag:
         self.topics: Tuple[Topic, ...] = tuple(topic for bag in self._bags for topic in bag.topics)
         self.unreadable: Tuple[UnreadableTopic, ...] = tuple(
             topic for bag in self._bags for topic in bag.unreadable
+        )
+        self.incomplete_files: Tuple[IncompleteFile, ...] = tuple(
+            file for bag in self._bags for file in bag.incomplete_files
         )
 
     def _select_interval(self, start: float, duration: Optional[float]) -> None:
@@ -163,8 +176,8 @@ def _reject_duplicates(paths: Sequence[PathLike]) -> None:
         raise BagError("no bag is given: expected at least one")
 
 
-_BAG_SUFFIXES = (".bag", *SUFFIXES)
-"""Suffixes of the files of bags."""
+_BAG_SUFFIXES = (".bag", ".bag.active", *SUFFIXES)
+"""Suffixes of the files of bags. A recorder of ROS 1 that was killed leaves a file ``.bag.active``."""
 
 
 class BagLocation(NamedTuple):
@@ -246,7 +259,9 @@ def _parse_part_name(name: str) -> Tuple[str, str, int]:
 
 def is_folder_of_bags(location: str) -> bool:
     """Return whether a path is a folder that is not a ROS 2 bag itself."""
-    return os.path.isdir(location) and not os.path.exists(os.path.join(location, METADATA))
+    return os.path.isdir(location) and not is_ros2_bag(
+        os.path.basename(os.path.realpath(location)), os.listdir(location)
+    )
 
 
 def location_exists(location: str) -> bool:
@@ -295,7 +310,7 @@ def _download(filesystem: Any, path: str, local: str) -> None:
         stated_size, available_bytes = filesystem.size(name), shutil.disk_usage(target.parent).free // 2
         max_bytes = available_bytes if stated_size is None else min(stated_size, available_bytes)
         with filesystem.open(name, "rb") as source, target.open("wb") as file:
-            if copy_up_to(source, file, max_bytes) > max_bytes:
+            if copy_up_to(source.read, file, max_bytes) > max_bytes:
                 raise ValueError(
                     f"'{name}' has more than {max_bytes} bytes, as stated or as half of the disk has"
                 )
@@ -351,22 +366,27 @@ def _list_names_below(location: str) -> Optional[List[str]]:
             return None
         return [path.relative_to(location).as_posix() for path in Path(location).rglob("*")]
     filesystem, path = _open_filesystem(location)
-    if not _call_filesystem(location, filesystem.isdir, path) or _call_filesystem(
-        location, filesystem.exists, f"{path.rstrip('/')}/{METADATA}"
-    ):
+    if not _call_filesystem(location, filesystem.isdir, path):
         return None
-    return [
+    names = [
         PurePosixPath(name).relative_to(path).as_posix()
         for name in _call_filesystem(location, filesystem.find, path)
     ]
+    own_names = [name for name in names if "/" not in name]
+    return None if is_ros2_bag(PurePosixPath(path).name, own_names) else names
 
 
 def _select_bag_names(names: Iterable[str]) -> List[str]:
     """Return the names that are bags, sorted; hidden files and folders are skipped."""
     paths = [path for path in map(PurePosixPath, names) if not any(part[0] == "." for part in path.parts)]
+    names_by_folder: Dict[PurePosixPath, List[str]] = {}
+    for path in paths:
+        names_by_folder.setdefault(path.parent, []).append(path.name)
     # The files in a ROS 2 bag are parts of it, not bags of their own.
-    folders = {path.parent for path in paths if path.name == METADATA}
+    folders = {folder for folder, names in names_by_folder.items() if is_ros2_bag(folder.name, names)}
     files = {path for path in paths if path.name.endswith(_BAG_SUFFIXES) and path.parent not in folders}
+    # The same recording, completed by another program.
+    files -= {path.with_name(f"{path.name}.active") for path in files}
     return [path.as_posix() for path in sorted(folders | files, key=lambda path: path.parts)]
 
 

@@ -5,8 +5,9 @@ smaller of the two. To detect chunks that are larger than stated, libraries are 
 """
 
 import bz2
+from contextlib import suppress
 from io import BytesIO
-from typing import Any, BinaryIO, List
+from typing import Any, BinaryIO, Callable, List
 
 MAX_CHUNK_MEGABYTES = 512
 """Default limit for a chunk or a single message after decompression."""
@@ -14,6 +15,17 @@ MAX_CHUNK_MEGABYTES = 512
 _BYTES_PER_MEGABYTE = 1_000_000
 
 _BLOCK_BYTES = 1 << 20
+
+_PART_BYTES = 1 << 14
+"""Number of bytes that are decompressed at once of a chunk that is cut."""
+
+
+class ChunkLimitError(ValueError):
+    """A chunk or a message that is larger than the limit."""
+
+
+class MissingPackageError(Exception):
+    """A Python package that decompresses is not installed."""
 
 
 class ChunkLimit:
@@ -31,10 +43,10 @@ class ChunkLimit:
         """Check the size of a chunk in bytes.
 
         Raises:
-            ValueError: if it exceeds the limit.
+            ChunkLimitError: if it exceeds the limit.
         """
         if size > self.bytes:
-            raise ValueError(f"{subject} {size} bytes: expected {self._describe_limit()}")
+            raise ChunkLimitError(f"{subject} {size} bytes: expected {self._describe_limit()}")
 
     def unpack_message(self, packed: bytes) -> bytes:
         """Decompress a message that was compressed with zstd, whose frame need not state the size.
@@ -63,23 +75,16 @@ def unpack(compression: str, packed: bytes, size: int) -> bytes:
 
     Raises:
         ValueError: if the content does not have the stated size.
+        MissingPackageError: if the package for the compression is not installed.
         Exception: of the library, if the content cannot be decompressed.
     """
-    decompressor: Any
     is_complete = True
     if compression in ("", "none"):
         data = packed
     elif compression == "zstd":
         data = _unpack_zstd(packed, size + 1)
     else:
-        if compression == "bz2":
-            decompressor = bz2.BZ2Decompressor()
-        elif compression == "lz4":
-            from lz4.frame import LZ4FrameDecompressor  # noqa: PLC0415 - ``rosbags`` needs it
-
-            decompressor = LZ4FrameDecompressor()
-        else:
-            raise ValueError(f"compression '{compression[:20]}' is unknown: expected none, bz2, lz4 or zstd")
+        decompressor = _create_decompressor(compression)
         # `max_length` bounds the memory even if the stream expands without end.
         data = decompressor.decompress(packed, max_length=size + 1)
         # A truncated stream can have the right number of bytes without its checksum.
@@ -89,6 +94,66 @@ def unpack(compression: str, packed: bytes, size: int) -> bytes:
     if len(data) < size or not is_complete:
         raise ValueError(f"it ends after {len(data)} bytes: its header states {size}")
     return data
+
+
+def unpack_available(compression: str, packed: bytes, size: int) -> bytes:
+    """Return the start of a chunk that is cut, as far as it can be decompressed.
+
+    Args:
+        compression: as for `unpack`.
+        packed: the bytes of the content that the file has.
+        size: size after decompression as stated in the header; the caller has compared it with the limit.
+
+    Raises:
+        ValueError: if the compression is unknown.
+        MissingPackageError: if the package for the compression is not installed.
+    """
+    if compression in ("", "none"):
+        return packed[:size]
+    if compression == "zstd":
+        read_block: Callable[[int], bytes] = zstd_reader(BytesIO(packed)).read1
+    else:
+        source, decompressor = BytesIO(packed), _create_decompressor(compression)
+
+        def read_block(max_size: int) -> bytes:
+            block = b""
+            # A decompressor returns bytes only when a block of the compression is complete.
+            while not (block or decompressor.eof):
+                packed_block = source.read(_PART_BYTES) if decompressor.needs_input else b""
+                if decompressor.needs_input and not packed_block:
+                    break
+                block = decompressor.decompress(packed_block, max_length=max_size)
+            return block
+
+    blocks: List[bytes] = []
+    # The cut is an error of the library, which differs; the blocks before it are valid.
+    with suppress(Exception):
+        while size > 0:
+            block = read_block(min(size, _PART_BYTES))
+            if not block:
+                break
+            blocks.append(block)
+            size -= len(block)
+    return b"".join(blocks)
+
+
+def _create_decompressor(compression: str) -> Any:
+    """Return a decompressor with the interface of `bz2.BZ2Decompressor`."""
+    if compression == "bz2":
+        return bz2.BZ2Decompressor()
+    if compression == "lz4":
+        try:
+            from lz4.frame import LZ4FrameDecompressor  # noqa: PLC0415 - ``rosbags`` needs it
+        except ImportError:
+            raise _describe_missing_package("lz4", "lz4") from None
+        return LZ4FrameDecompressor()
+    raise ValueError(f"compression '{compression[:20]}' is unknown: expected none, bz2, lz4 or zstd")
+
+
+def _describe_missing_package(compression: str, package: str) -> MissingPackageError:
+    return MissingPackageError(
+        f"it is compressed with {compression}, which needs the Python package {package}: pip install {package}"
+    )
 
 
 def _unpack_zstd(packed: bytes, max_size: int) -> bytes:
@@ -116,11 +181,17 @@ def read_up_to(source: BinaryIO, size: int) -> bytes:
     return blocks[0] if len(blocks) == 1 else b"".join(blocks)
 
 
-def copy_up_to(source: BinaryIO, target: BinaryIO, size: int) -> int:
-    """Copy a stream until its end or until more than ``size`` bytes are copied; return the number of copied bytes."""
+def copy_up_to(read: Callable[[int], bytes], target: BinaryIO, size: int) -> int:
+    """Copy a stream until its end or until more than ``size`` bytes are copied; return the number of copied bytes.
+
+    Args:
+        read: method of the stream that returns at most a number of bytes.
+        target: file to write to.
+        size: the limit.
+    """
     copied = 0
     while copied <= size:
-        block = source.read(_BLOCK_BYTES)
+        block = read(_BLOCK_BYTES)
         if not block:
             break
         copied += len(block)
@@ -133,18 +204,27 @@ def zstd_reader(packed: BinaryIO) -> Any:
     zstd = _find_zstd()
     if zstd is not None:
         return zstd.open(packed, "rb")
-    from rosbags.rosbag2 import reader  # noqa: PLC0415 - an optional package
-
     # Before version 0.11, rosbags imported the package `zstandard`.
-    zstandard: Any = vars(reader)["zstandard"]
+    zstandard: Any = vars(_import_rosbag2_reader("zstandard"))["zstandard"]
     return zstandard.ZstdDecompressor().stream_reader(packed, read_across_frames=True)
 
 
 def _find_zstd() -> Any:
     """Return the module of Python 3.14 or of its backport that ``rosbags`` imports; None before version 0.11."""
-    from rosbags.rosbag2 import reader  # noqa: PLC0415 - an optional package
+    return getattr(_import_rosbag2_reader("backports.zstd"), "zstd", None)
 
-    return getattr(reader, "zstd", None)
+
+def _import_rosbag2_reader(package: str) -> Any:
+    """Return the module of ``rosbags`` that imports the package for zstd.
+
+    Raises:
+        MissingPackageError: if that package is not installed.
+    """
+    try:
+        from rosbags.rosbag2 import reader  # noqa: PLC0415 - an optional package
+    except ImportError as error:
+        raise _describe_missing_package("zstd", error.name or package) from None
+    return reader
 
 
 def describe_error(error: BaseException) -> str:

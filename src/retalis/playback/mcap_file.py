@@ -2,7 +2,9 @@
 
 A file consists of a header, records, a summary, and a footer. A record is an opcode, a length, and a body. Messages
 are in chunks, which may be compressed, or directly in the file. The summary repeats schemas and channels, and has an
-index entry with the time range of each chunk. A file without a summary is scanned from its start.
+index entry with the time range of each chunk. A file without a summary is scanned from its start. A file without a
+footer, whose recorder was killed or that was cut, is scanned up to the first record that is cut or damaged. Of a
+chunk that is cut, the messages before the cut are read.
 
 Chunks are merged by time, and only chunks that overlap in time are in memory. A chunk is not read if its index entry
 has none of the requested channels. Messages outside of chunks have no
@@ -21,12 +23,21 @@ from functools import partial
 from operator import attrgetter
 from pathlib import Path
 from struct import Struct
+from struct import error as StructError
 from typing import Callable, Collection, Dict, FrozenSet, Iterator, List, NamedTuple, Optional, Set, Tuple
 
 from ..foundation.errors import format_count
 from ..foundation.interrupts import check_interrupt
-from .decompression import ChunkLimit, describe_error, unpack
-from .ros2_storage import MAX_TIME, Connection, Message, merge_by_time
+from .bag_files import Connection, IncompleteFile
+from .decompression import (
+    ChunkLimit,
+    ChunkLimitError,
+    MissingPackageError,
+    describe_error,
+    unpack,
+    unpack_available,
+)
+from .message_merge import MAX_TIME, Message, list_chunk_sources, merge_by_time
 
 _MAGIC = b"\x89MCAP0\r\n"
 _RECORD_STRUCT = Struct("<BQ")
@@ -51,11 +62,10 @@ _COUNT_STRUCT = Struct("<HQ")
     _CHUNK_OPCODE,
     _CHUNK_INDEX_OPCODE,
     _STATISTICS_OPCODE,
-) = 1, 2, 3, 4, 5, 6, 8, 11
+    _DATA_END_OPCODE,
+) = 1, 2, 3, 4, 5, 6, 8, 11, 15
 """Opcodes of records."""
 
-
-_TRUNCATED_MESSAGE = "it does not end as an mcap file: it is truncated: repair it with 'mcap recover'"
 
 _MAX_CHUNK_HEADER_BYTES = 256
 """Number of bytes that are read of a chunk for the fields before its data; without a long name they have 44."""
@@ -72,6 +82,7 @@ class _McapChunk(NamedTuple):
         position: offset of the record.
         length: length of the record, including its header.
         channels: ids of the channels that have messages in the chunk; empty if the file does not state them.
+        readable_bytes: size after decompression of the complete records in a chunk that is cut; None if it is not.
     """
 
     start: int
@@ -79,10 +90,34 @@ class _McapChunk(NamedTuple):
     position: int
     length: int
     channels: FrozenSet[int] = frozenset()
+    readable_bytes: Optional[int] = None
 
     def may_have(self, channels: Set[int]) -> bool:
         """Return whether the chunk may have messages of one of the channels."""
         return not self.channels or not self.channels.isdisjoint(channels)
+
+
+class _Totals:
+    """Counts of messages by channel, and the times of the first and the last one.
+
+    Attributes:
+        last_loose_time: time of the last message outside of chunks in the order of the file.
+    """
+
+    def __init__(self) -> None:
+        self.counts: Counter[int] = Counter()
+        self.first, self.last = MAX_TIME, 0
+        self.last_loose_time = 0
+
+    def add(self, channel: int, time: int) -> None:
+        """Count a message."""
+        self.counts[channel] += 1
+        self.first, self.last = min(self.first, time), max(self.last, time)
+
+    def merge(self, other: "_Totals") -> None:
+        """Add the counts of a chunk."""
+        self.counts.update(other.counts)
+        self.first, self.last = min(self.first, other.first), max(self.last, other.last)
 
 
 class McapFile:
@@ -91,12 +126,14 @@ class McapFile:
     Attributes:
         connections: topics of the file.
         start, end: times of the first and the last message in nanoseconds; 0 if there are none.
+        incomplete_file: description of what is missing, without the path; None if the file is complete.
 
     Raises:
         Exception: if the file cannot be read.
     """
 
     def __init__(self, path: Path, limit: ChunkLimit):
+        self.incomplete_file: Optional[IncompleteFile] = None
         self._limit = limit
         self._size = path.stat().st_size
         self._schemas: Dict[int, Tuple[str, str, str]] = {0: ("", "", "")}
@@ -149,20 +186,19 @@ class McapFile:
         """Read the header and the footer, and the summary or all records."""
         if self._read_bytes(0, min(self._size, len(_MAGIC))) != _MAGIC:
             raise ValueError("it does not begin as an mcap file")
-        footer = self._size - _FOOTER_STRUCT.size
-        # A recorder that was killed does not write a footer.
-        if footer < len(_MAGIC):
-            raise ValueError(_TRUNCATED_MESSAGE)
-        opcode, length, summary, _, _, magic = _FOOTER_STRUCT.unpack(
-            self._read_bytes(footer, _FOOTER_STRUCT.size)
-        )
-        if (opcode, length, magic) != (_FOOTER_OPCODE, 20, _MAGIC):
-            raise ValueError(_TRUNCATED_MESSAGE)
-        opcode, length = self._read_record_header(len(_MAGIC), footer)
+        try:
+            opcode, length = self._read_record_header(len(_MAGIC), self._size)
+        except ValueError:
+            raise ValueError("its header is cut or damaged") from None
         # The profile in the header is not needed: each channel states the format of its messages.
         if opcode != _HEADER_OPCODE:
             raise ValueError(f"its first record has the opcode {opcode}: expected a header, {_HEADER_OPCODE}")
         self._data_start = len(_MAGIC) + _RECORD_STRUCT.size + length
+        footer = self._size - _FOOTER_STRUCT.size
+        summary = self._read_footer(footer)
+        if summary is None:
+            self._recover()
+            return
         self._data_end = summary or footer
         if not self._data_start <= self._data_end <= footer:
             raise ValueError(f"its summary at byte {summary} is outside of the file")
@@ -170,6 +206,16 @@ class McapFile:
         # Without chunks, the summary does not say whether the messages are in order.
         if not (self._read_summary(footer) and len(self._schemas) > 1 and self._chunks):
             self._scan()
+
+    def _read_footer(self, position: int) -> Optional[int]:
+        """Return the position of the summary, 0 if there is none; None if the file has no footer."""
+        # A recorder that was killed does not write a footer.
+        if position < self._data_start:
+            return None
+        opcode, length, summary, _, _, magic = _FOOTER_STRUCT.unpack(
+            self._read_bytes(position, _FOOTER_STRUCT.size)
+        )
+        return int(summary) if (opcode, length, magic) == (_FOOTER_OPCODE, 20, _MAGIC) else None
 
     def _read_summary(self, footer: int) -> bool:
         """Read the summary; return whether it contains the number of messages and their time range."""
@@ -202,37 +248,112 @@ class McapFile:
     def _scan(self) -> None:
         """Read all records before the summary, to find types, times, and chunks."""
         self._chunks.clear()
-        previous_time = 0
-        counts: Counter[int] = Counter()
-        first, last = MAX_TIME, -1
+        totals = _Totals()
         for opcode, position, length in self._scan_records(self._data_start, self._data_end):
-            if opcode in (_SCHEMA_OPCODE, _CHANNEL_OPCODE):
-                self._add_schema_or_channel(opcode, self._read_bytes(position, length))
-            elif opcode == _MESSAGE_OPCODE:
-                self._has_loose_messages = True
-                channel, _, time, _ = _MESSAGE_STRUCT.unpack(
-                    self._read_bytes(position, min(length, _MESSAGE_STRUCT.size))
-                )
-                counts[channel] += 1
-                first, last = min(first, time), max(last, time)
-                self._is_in_order = self._is_in_order and time >= previous_time
-                previous_time = time
-            elif opcode == _CHUNK_OPCODE:
-                chunk = _McapChunk(0, 0, position - _RECORD_STRUCT.size, length + _RECORD_STRUCT.size)
-                data = self._unpack_chunk(chunk)
-                begin, end = MAX_TIME, -1
-                for inner_opcode, body_start, body_end in _scan_chunk_records(data):
-                    if inner_opcode in (_SCHEMA_OPCODE, _CHANNEL_OPCODE):
-                        self._add_schema_or_channel(inner_opcode, data[body_start:body_end])
-                    elif inner_opcode == _MESSAGE_OPCODE:
-                        channel, _, time, _ = _MESSAGE_STRUCT.unpack_from(data, body_start)
-                        counts[channel] += 1
-                        begin, end = min(begin, time), max(end, time)
-                if end >= 0:
-                    self._chunks.append(chunk._replace(start=begin, end=end))
-                    first, last = min(first, begin), max(last, end)
-        self._counts = counts
-        self.start, self.end = (first, last) if last >= 0 else (0, 0)
+            self._add_record(opcode, position, length, totals)
+        self._set_totals(totals)
+
+    def _recover(self) -> None:
+        """Read the records of a file without a footer, up to the first one that is cut or damaged."""
+        totals = _Totals()
+        position, is_data_complete = self._data_start, False
+        while position < self._size and not is_data_complete:
+            check_interrupt()
+            try:
+                opcode, length = self._read_record_header(position, self._size)
+                # A file system fills the end of a file with zeros if the computer fails.
+                if not opcode:
+                    break
+                is_data_complete = opcode in (_DATA_END_OPCODE, _FOOTER_OPCODE)
+                if not is_data_complete:
+                    self._add_record(opcode, position + _RECORD_STRUCT.size, length, totals)
+                    position += _RECORD_STRUCT.size + length
+            except ChunkLimitError:
+                raise
+            except (ValueError, StructError):
+                position = self._add_cut_chunk(position, totals)
+                break
+        self._data_end = position
+        self._set_totals(totals)
+        self.incomplete_file = IncompleteFile(
+            "",
+            "it has no footer",
+            sum(totals.counts.values()),
+            self.end,
+            position,
+            0 if is_data_complete else self._size - position,
+            is_data_complete=is_data_complete,
+        )
+
+    def _add_cut_chunk(self, position: int, totals: "_Totals") -> int:
+        """Add the messages before the break if it is in a chunk; return its position."""
+        opcode, length = 0, 0
+        if position + _RECORD_STRUCT.size <= self._size:
+            opcode, length = _RECORD_STRUCT.unpack(self._read_bytes(position, _RECORD_STRUCT.size))
+        record_length = length + _RECORD_STRUCT.size
+        if opcode != _CHUNK_OPCODE:
+            return position
+        chunk = _McapChunk(0, 0, position, record_length, readable_bytes=0)
+        try:
+            compression, _, checksum, data_position, _ = self._read_chunk_header(chunk)
+            # A chunk that is not cut is damaged: if a checksum or a compression could detect that, nothing is read.
+            if position + record_length <= self._size and (checksum or compression):
+                return position
+            data = self._unpack_cut_chunk(chunk)
+        except ChunkLimitError:
+            raise
+        except (ValueError, StructError):
+            return position
+        readable_bytes = self._add_chunk(chunk, data, totals)
+        return position if compression else data_position + readable_bytes
+
+    def _add_record(self, opcode: int, position: int, length: int, totals: "_Totals") -> None:
+        """Store a schema, a channel or a chunk, and count messages; other records are skipped."""
+        if opcode in (_SCHEMA_OPCODE, _CHANNEL_OPCODE):
+            self._add_schema_or_channel(opcode, self._read_bytes(position, length))
+        elif opcode == _MESSAGE_OPCODE:
+            channel, _, time, _ = _MESSAGE_STRUCT.unpack(
+                self._read_bytes(position, min(length, _MESSAGE_STRUCT.size))
+            )
+            self._has_loose_messages = True
+            self._is_in_order = self._is_in_order and time >= totals.last_loose_time
+            totals.last_loose_time = time
+            totals.add(channel, time)
+        elif opcode == _CHUNK_OPCODE:
+            chunk = _McapChunk(0, 0, position - _RECORD_STRUCT.size, length + _RECORD_STRUCT.size)
+            self._add_chunk(chunk, self._unpack_chunk(chunk), totals)
+
+    def _add_chunk(self, chunk: _McapChunk, data: bytes, totals: "_Totals") -> int:
+        """Store a chunk and count its messages; return the size of its complete records.
+
+        Args:
+            chunk: the chunk, without the times of its messages.
+            data: its content; a chunk whose ``readable_bytes`` are not None may end with an incomplete record.
+            totals: counts and times of all messages.
+        """
+        chunk_totals = _Totals()
+        readable_bytes = 0
+        try:
+            for opcode, start, end in _scan_chunk_records(data):
+                if opcode in (_SCHEMA_OPCODE, _CHANNEL_OPCODE):
+                    self._add_schema_or_channel(opcode, data[start:end])
+                elif opcode == _MESSAGE_OPCODE:
+                    channel, _, time, _ = _MESSAGE_STRUCT.unpack_from(data, start)
+                    chunk_totals.add(channel, time)
+                readable_bytes = end
+        except (ValueError, StructError):
+            if chunk.readable_bytes is None:
+                raise
+        if chunk.readable_bytes is not None:
+            chunk = chunk._replace(readable_bytes=readable_bytes)
+        if chunk_totals.counts:
+            self._chunks.append(chunk._replace(start=chunk_totals.first, end=chunk_totals.last))
+            totals.merge(chunk_totals)
+        return readable_bytes
+
+    def _set_totals(self, totals: "_Totals") -> None:
+        self._counts = totals.counts
+        self.start, self.end = (totals.first, totals.last) if totals.counts else (0, 0)
 
     def _add_schema_or_channel(self, opcode: int, body: bytes) -> None:
         """Store a record with a schema or a channel."""
@@ -253,24 +374,16 @@ class McapFile:
         self, wanted: Set[int], start: int, stop: int
     ) -> List[Tuple[int, Callable[[], Iterator[Message]]]]:
         """Return the chunks with messages from ``start`` and before ``stop``, for `merge_by_time`."""
-        bytes_in_memory = 0
-
-        def read(chunk: _McapChunk) -> Iterator[Message]:
-            nonlocal bytes_in_memory
-            check_interrupt()
-            data = self._unpack_chunk(chunk)
-            bytes_in_memory += len(data)
-            self._limit.check(bytes_in_memory, "chunks that overlap in time have")
-            yield from _read_messages(data, wanted, start, stop)
-            bytes_in_memory -= len(data)
-
         chunks = [
             chunk
             for chunk in self._chunks
             if chunk.end >= start and chunk.start < stop and chunk.may_have(wanted)
         ]
         chunks.sort(key=attrgetter("start", "end", "position"))
-        return [(chunk.start, partial(read, chunk)) for chunk in chunks]
+        read = partial(_read_messages, wanted=wanted, start=start, stop=stop)
+        return list_chunk_sources(
+            ((chunk.start, chunk) for chunk in chunks), self._unpack_chunk, read, self._limit
+        )
 
     def _read_in_order(self, wanted: Set[int], start: int, stop: int) -> Iterator[Message]:
         """Yield the messages outside of chunks in the order of the file."""
@@ -309,29 +422,48 @@ class McapFile:
 
     def _unpack_chunk(self, chunk: _McapChunk) -> bytes:
         """Return the records in a chunk, decompressed."""
+        if chunk.readable_bytes is not None:
+            return self._unpack_cut_chunk(chunk)[: chunk.readable_bytes]
         location = f"the chunk at byte {chunk.position}"
         opcode, length = self._read_record_header(chunk.position, self._size)
         if opcode != _CHUNK_OPCODE or length + _RECORD_STRUCT.size != chunk.length:
             raise ValueError(f"the index names {location}: there is none of {chunk.length} bytes")
-        # The data is read separately, because copies of large chunks take as long as their decompression.
-        position = chunk.position + _RECORD_STRUCT.size
-        header = self._read_bytes(position, min(length, _MAX_CHUNK_HEADER_BYTES))
-        _, _, size, checksum = _CHUNK_STRUCT.unpack_from(header)
-        compression, offset = _read_text(header, _CHUNK_STRUCT.size)
-        (packed_size,) = _SIZE_STRUCT.unpack_from(header, offset)
-        offset += _SIZE_STRUCT.size
-        if packed_size > length - offset:
+        compression, size, checksum, position, packed_size = self._read_chunk_header(chunk)
+        if position + packed_size > chunk.position + chunk.length:
             raise ValueError(f"{location} is truncated")
-        packed = self._read_bytes(position + offset, packed_size)
-        self._limit.check(size, f"{location} states")
         try:
-            data = unpack(compression, packed, size)
+            data = unpack(compression, self._read_bytes(position, packed_size), size)
+        except MissingPackageError:
+            raise
         except Exception as error:  # any exception of the decompression library
             raise ValueError(f"{location}: {describe_error(error)}") from error
         # A checksum of 0 means that the writer has not computed one.
         if checksum and crc32(data) != checksum:
             raise ValueError(f"{location} is damaged: its checksum is wrong")
         return data
+
+    def _unpack_cut_chunk(self, chunk: _McapChunk) -> bytes:
+        """Return the start of the records in a chunk, as far as the file has it."""
+        compression, size, _, position, packed_size = self._read_chunk_header(chunk)
+        packed_size = min(packed_size, self._size - position)
+        self._limit.check(packed_size, f"the chunk at byte {chunk.position} has")
+        return unpack_available(compression, self._read_bytes(position, packed_size), size)
+
+    def _read_chunk_header(self, chunk: _McapChunk) -> Tuple[str, int, int, int, int]:
+        """Return compression, stated size and checksum of a chunk, and position and size of its data.
+
+        The data is read separately, because copies of large chunks take as long as their decompression.
+        """
+        position = chunk.position + _RECORD_STRUCT.size
+        header = self._read_bytes(
+            position,
+            min(chunk.length - _RECORD_STRUCT.size, _MAX_CHUNK_HEADER_BYTES, self._size - position),
+        )
+        _, _, size, checksum = _CHUNK_STRUCT.unpack_from(header)
+        compression, offset = _read_text(header, _CHUNK_STRUCT.size)
+        (packed_size,) = _SIZE_STRUCT.unpack_from(header, offset)
+        self._limit.check(size, f"the chunk at byte {chunk.position} states")
+        return compression, size, checksum, position + offset + _SIZE_STRUCT.size, packed_size
 
     def _scan_records(self, position: int, end: int) -> Iterator[Tuple[int, int, int]]:
         """Yield opcode, offset, and length of the records between two offsets."""

@@ -13,10 +13,12 @@ Format: http://wiki.ros.org/Bags/Format/2.0
 """
 
 import io
+import logging
 import os
 from collections import deque
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack, closing, contextmanager, suppress
+from importlib import import_module
 from itertools import groupby
 from operator import itemgetter
 from pathlib import Path
@@ -47,7 +49,11 @@ from ..foundation.interrupts import check_interrupt
 from ..foundation.output_files import replace_file
 from ..foundation.ros_name_checks import strip_slashes
 from ..messages.type_definition import Definition, SerializationFormat
+from .bag_files import IncompleteFile
 from .decompression import MAX_CHUNK_MEGABYTES, ChunkLimit, describe_error, unpack
+from .unindexed_bag import UnindexedBag, UnindexedConnection, find_index_problem
+
+log = logging.getLogger("retalis")
 
 MAX_CHUNKS_AHEAD = 3
 """Number of chunks that are decompressed before they are needed."""
@@ -308,6 +314,7 @@ class BagReader:
     Args:
         path: path of the file.
         max_chunk_megabytes: maximum size of a chunk after decompression.
+        strict: whether an incomplete bag is an error. By default, it is read up to the break, with a warning.
 
     Attributes:
         path: path of the file.
@@ -315,24 +322,35 @@ class BagReader:
         start, end: times of the first and the last message in nanoseconds; 0 for an empty bag.
         messages: number of messages.
         unreadable: topics that cannot be read, which ``topics`` does not contain.
+        incomplete_files: what is missing if a crash has cut the bag; empty for a complete one.
 
     Raises:
-        BagError: if the file is missing, is not a ROS 1 bag, or is truncated (``rosbag reindex`` repairs it).
+        BagError: if the file is missing or is not a ROS 1 bag.
     """
 
     unreadable: Tuple[UnreadableTopic, ...] = ()
+    incomplete_files: Tuple[IncompleteFile, ...] = ()
 
-    def __init__(self, path: PathLike, max_chunk_megabytes: int = MAX_CHUNK_MEGABYTES):
+    def __init__(self, path: PathLike, max_chunk_megabytes: int = MAX_CHUNK_MEGABYTES, strict: bool = False):
         self.path = Path(path)
         self._limit = ChunkLimit(max_chunk_megabytes)
-        self._reader = _open_reader(self.path)
+        self._reader = _open_reader(self.path, self._limit)
+        self._is_indexed = not isinstance(self._reader, UnindexedBag)
+        create_topic = _create_topic if self._is_indexed else _create_unindexed_topic
         self._topics: Dict[int, Topic] = {
-            connection.id: _create_topic(connection) for connection in self._reader.connections
+            connection.id: create_topic(connection) for connection in self._reader.connections
         }
         self.topics: Tuple[Topic, ...] = tuple(self._topics.values())
         self.messages: int = sum(topic.messages for topic in self.topics)
         self.start: int = self._reader.start_time if self.messages else 0
         self.end: int = self._reader.end_time - 1 if self.messages else 0
+        if not self._is_indexed:
+            self.incomplete_files = (self._reader.incomplete_file,)
+            # Nothing else closes the file if the bag is refused.
+            with ExitStack() as stack:
+                stack.callback(self._reader.close)
+                report_incomplete_files(self.incomplete_files, strict)
+                stack.pop_all()
 
     def records(
         self,
@@ -363,6 +381,12 @@ class BagReader:
         if not connections:
             return
         try:
+            if not self._is_indexed:
+                for identifier, time, data in self._reader.read(
+                    [connection.id for connection in connections], start, stop
+                ):
+                    yield Record(self._topics[identifier], time, data)
+                return
             entries = self._find_entries(connections, start, stop)
             positions = [position for _, position, _, _ in entries]
             with closing(
@@ -422,7 +446,7 @@ class BagWriter:
 
     def __init__(self, path: PathLike, overwrite: bool = False):
         self.path = Path(path)
-        writer_class = _import_rosbag1().Writer
+        writer_class = import_rosbags("rosbag1").Writer
         # A folder is never replaced.
         if self.path.exists() and not (overwrite and self.path.is_file()):
             raise BagError(f"{self.path} already exists")
@@ -512,12 +536,30 @@ ROSBAGS_HINT = (
 """Ways to install rosbags, for an error. No distribution packages it."""
 
 
-def _import_rosbag1() -> Any:
+def import_rosbags(module: str) -> Any:
+    """Return a module of rosbags.
+
+    Raises:
+        BagError: if rosbags, or a package that it needs, is not installed.
+    """
     try:
-        from rosbags import rosbag1  # noqa: PLC0415 - an optional package
-    except ImportError:
-        raise BagError(f"reading and writing bags needs the Python package rosbags: {ROSBAGS_HINT}") from None
-    return rosbag1
+        return import_module(f"rosbags.{module}")
+    except ImportError as error:
+        package = error.name or "rosbags"
+        hint = ROSBAGS_HINT if package.startswith("rosbags") else f"pip install {package.partition('.')[0]}"
+        raise BagError(f"reading and writing bags needs the Python package {package}: {hint}") from None
+
+
+def report_incomplete_files(files: Iterable[IncompleteFile], strict: bool) -> None:
+    """Log incomplete files as warnings.
+
+    Raises:
+        BagError: if there are any, and ``strict`` is true.
+    """
+    for file in files:
+        if strict:
+            raise BagError(str(file))
+        log.warning("%s", file)
 
 
 def _read_messages(entries: List[_MessageEntry], contents: Iterator[bytes]) -> Iterator[Record]:
@@ -557,20 +599,23 @@ def _read_messages(entries: List[_MessageEntry], contents: Iterator[bytes]) -> I
         yield Record(topic, time, data)
 
 
-def _open_reader(path: Path) -> Any:
-    """Return the reader of ``rosbags`` for a file, whose index it has read."""
-    rosbag1 = _import_rosbag1()
+def _open_reader(path: Path, limit: ChunkLimit) -> Any:
+    """Return the reader of ``rosbags`` for a file, whose index it has read, or a reader that needs no index."""
+    rosbag1 = import_rosbags("rosbag1")
     if not path.is_file():
         raise BagError(f"{path}: there is no such file")
     try:
+        index_problem = find_index_problem(path)
+        if index_problem is not None:
+            return UnindexedBag(path, limit, index_problem)
         reader = _define_index_reader(rosbag1)(path)
         reader.path = _BagPath(path)
         reader.open()
         reader.bio.lift_read_limit()
     except Exception as error:  # malformed bags raise arbitrary exceptions
         problem = describe_error(error)
-        if "index looks damaged" in problem:  # the error of rosbags for a truncated recording
-            problem = "its index is missing or damaged: repair it with 'rosbag reindex'"
+        if "index looks damaged" in problem:  # the error of rosbags for an index with wrong values
+            problem = "its index is damaged: repair it with 'rosbag reindex'"
         raise BagError(f"{path} is not a complete ROS 1 bag: {problem}") from error
     return reader
 
@@ -676,4 +721,17 @@ def _create_topic(connection: Any) -> Topic:
         connection.msgcount,
         bool(connection.ext.latching),
         connection.ext.callerid or "",
+    )
+
+
+def _create_unindexed_topic(connection: UnindexedConnection) -> Topic:
+    """Return a connection of a bag that is read without its index."""
+    return Topic(
+        connection.topic,
+        connection.type,
+        connection.definition,
+        connection.md5sum,
+        connection.messages,
+        connection.is_latched,
+        connection.caller,
     )

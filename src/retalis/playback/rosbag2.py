@@ -20,17 +20,46 @@ from itertools import islice, takewhile
 from operator import attrgetter
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any, Callable, Collection, Dict, Iterator, List, Optional, Sequence, Tuple, Union
+from typing import (
+    Any,
+    Callable,
+    Collection,
+    Dict,
+    Iterable,
+    Iterator,
+    List,
+    NamedTuple,
+    Optional,
+    Sequence,
+    Tuple,
+    Union,
+)
 
 from ..foundation.errors import MessageError, format_count, quote_shortened, shorten
 from ..foundation.ros_name_checks import ros1_type_name, strip_slashes, topic_fault
 from ..messages.ros2_definitions import BUILTIN_DEFINITIONS
 from ..messages.type_definition import Definition, SerializationFormat
 from ..messages.type_registry import Definitions, InstalledTypes, parse_ros2_type
-from .decompression import MAX_CHUNK_MEGABYTES, ChunkLimit, copy_up_to, describe_error, zstd_reader
+from .bag_files import Connection, IncompleteFile
+from .decompression import (
+    MAX_CHUNK_MEGABYTES,
+    ChunkLimit,
+    MissingPackageError,
+    copy_up_to,
+    describe_error,
+    zstd_reader,
+)
 from .mcap_file import McapFile
-from .ros2_storage import Connection, merge_by_time
-from .rosbag1 import ROSBAGS_HINT, BagError, PathLike, Record, Topic, UnreadableTopic
+from .message_merge import merge_by_time
+from .rosbag1 import (
+    BagError,
+    PathLike,
+    Record,
+    Topic,
+    UnreadableTopic,
+    import_rosbags,
+    report_incomplete_files,
+)
 from .sqlite_file import SqliteFile
 
 Storage = Union[SqliteFile, McapFile]
@@ -54,9 +83,12 @@ A decompressed file may also take at most half of the free disk space.
 
 MAX_METADATA_BYTES = 4_000_000
 
+_ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
+"""First bytes of a zstd frame (RFC 8878)."""
+
 
 class Ros2BagReader:
-    """A ROS 2 bag opened for reading: a folder with ``metadata.yaml``, or one of its files.
+    """A ROS 2 bag opened for reading: a folder with ``metadata.yaml`` or with the files of one recording, or a file.
 
     Types have the names of ROS 1. Attributes and methods are those of `BagReader`.
 
@@ -64,6 +96,7 @@ class Ros2BagReader:
         path: path of the bag.
         max_chunk_megabytes: as for `BagReader`.
         message_folders: folders with the types that the bag does not define; see `InstalledTypes`.
+        strict: as for `BagReader`.
 
     Raises:
         BagError: if the bag cannot be read.
@@ -74,11 +107,16 @@ class Ros2BagReader:
         path: PathLike,
         max_chunk_megabytes: int = MAX_CHUNK_MEGABYTES,
         message_folders: Sequence[str] = (),
+        strict: bool = False,
     ):
         self.path = Path(path)
         self._limit = ChunkLimit(max_chunk_megabytes)
-        self._stack = ExitStack()
-        files, self._has_packed_messages = _open_files(self.path, self._limit, self._stack)
+        with ExitStack() as stack:
+            content = _open_files(self.path, self._limit, stack)
+            self.incomplete_files = tuple(content.list_incomplete_files(self.path))
+            report_incomplete_files(self.incomplete_files, strict)
+            self._stack = stack.pop_all()
+        files, self._has_packed_messages = content.files, content.has_packed_messages
         unreadable: List[UnreadableTopic] = []
         self._topics = _read_topics(files, unreadable, message_folders)
         self.unreadable: Tuple[UnreadableTopic, ...] = tuple(unreadable)
@@ -140,7 +178,7 @@ class Ros2BagReader:
         """Yield the messages of connections of a file; count the dropped ones by topic."""
         for identifier, time, data in file.read(connections, start, stop):
             topic = connections[identifier]
-            if not self._has_packed_messages:
+            if not self._is_packed(topic, data):
                 yield Record(topic, time, data)
                 continue
             try:
@@ -152,6 +190,13 @@ class Ros2BagReader:
                 dropped[name] += 1
                 continue
             yield Record(topic, time, message)
+
+    def _is_packed(self, topic: Topic, data: bytes) -> bool:
+        """Return whether a message is compressed: without metadata, by its first bytes."""
+        if self._has_packed_messages is None:
+            # Messages in CDR begin with a zero byte.
+            return data[:4] == _ZSTD_MAGIC and topic.format is SerializationFormat.CDR
+        return self._has_packed_messages
 
     def _warn_of_unreadable(self, wanted: Optional[Collection[str]]) -> None:
         """Log the topics that cannot be read, one line for all topics with the same problem."""
@@ -273,22 +318,66 @@ def _quote_if_invalid(name: str) -> str:
     return name if topic_fault(name) is None else quote_shortened(name)
 
 
-def _open_files(path: Path, limit: ChunkLimit, stack: ExitStack) -> Tuple[List[Storage], bool]:
-    """Return the open files of a bag, which ``stack`` closes, and whether its messages are compressed."""
-    try:
-        import rosbags.typesys  # noqa: F401, PLC0415 - an optional package, which brings those that decompress
-    except ImportError:
-        raise BagError(f"reading bags needs the Python package rosbags: {ROSBAGS_HINT}") from None
+class _Content(NamedTuple):
+    """The files of a bag.
+
+    Attributes:
+        files: the open files.
+        has_packed_messages: whether messages are compressed individually; None if no metadata states it.
+        paths: the path of each file.
+        cut_paths: compressed files that are cut.
+        problem: what is wrong with the metadata of a folder; empty if nothing is.
+    """
+
+    files: List[Storage]
+    has_packed_messages: Optional[bool]
+    paths: List[Path]
+    cut_paths: List[Path]
+    problem: str
+
+    def list_incomplete_files(self, path: Path) -> Iterator[IncompleteFile]:
+        """Yield the files that are not complete, and the bag itself if its metadata is missing."""
+        for file, file_path in zip(self.files, self.paths):
+            incomplete = file.incomplete_file
+            if file_path in self.cut_paths:
+                messages = sum(connection.messages for connection in file.connections)
+                problem = "its compressed content is cut or damaged"
+                if incomplete is None:
+                    incomplete = IncompleteFile("", problem, messages, file.end)
+                else:
+                    incomplete = incomplete._replace(problem=f"{problem}, and unpacked, {incomplete.problem}")
+            if incomplete is not None:
+                yield incomplete._replace(path=str(file_path))
+        if self.problem:
+            count = sum(connection.messages for file in self.files for connection in file.connections)
+            end = max((file.end for file in self.files), default=0)
+            yield IncompleteFile(str(path), self.problem, count, end)
+
+
+def _open_files(path: Path, limit: ChunkLimit, stack: ExitStack) -> _Content:
+    """Return the open files of a bag, which ``stack`` closes."""
+    import_rosbags("typesys")
     with ExitStack() as open_files:
         try:
-            paths, has_packed_messages = _read_metadata(path / METADATA) if path.is_dir() else ([path], False)
+            paths, has_packed_messages, problem = _find_files(path)
             files: List[Storage] = []
+            cut_paths: List[Path] = []
             for file in paths:
+                unpacked = file
                 if file.suffix == _COMPRESSED_SUFFIX:
                     folder = open_files.enter_context(TemporaryDirectory(prefix="retalis-"))
-                    file = _unpack_file(file, Path(folder) / file.stem, limit)
-                reader_class = McapFile if file.suffix == ".mcap" else SqliteFile
-                files.append(reader_class(file, limit))
+                    unpacked = Path(folder) / file.stem
+                    if not _unpack_file(file, unpacked, limit):
+                        cut_paths.append(file)
+                reader_class = McapFile if unpacked.suffix == ".mcap" else SqliteFile
+                try:
+                    files.append(reader_class(unpacked, limit))
+                except Exception as error:  # malformed bags raise arbitrary exceptions
+                    if file in cut_paths:
+                        raise ValueError(
+                            f"its compressed content is cut or damaged: {describe_error(error)}"
+                        ) from error
+                    raise
                 open_files.callback(files[-1].close)
         except BagError:
             raise
@@ -296,7 +385,60 @@ def _open_files(path: Path, limit: ChunkLimit, stack: ExitStack) -> Tuple[List[S
             raise BagError(f"{path} is not a complete ROS 2 bag: {describe_error(error)}") from error
         # Handed over only after all files were opened: an error above closes those that are open already.
         stack.push(open_files.pop_all())
-    return files, has_packed_messages
+    return _Content(files, has_packed_messages, paths, cut_paths, problem)
+
+
+def _find_files(path: Path) -> Tuple[List[Path], Optional[bool], str]:
+    """Return the files of a bag in their order, and see `_Content` for the other values.
+
+    Raises:
+        ValueError: if the metadata is invalid, or there is none and the files are not those of one recording.
+    """
+    if not path.is_dir():
+        return [path], None, ""
+    metadata = path / METADATA
+    # The recorder writes the metadata last.
+    if metadata.is_file() and metadata.stat().st_size:
+        return (*_read_metadata(metadata), "")
+    names = [file.name for file in path.iterdir() if file.is_file()]
+    parts = _list_parts(path.resolve().name, names)
+    if not parts:
+        raise ValueError(
+            f"it has no {METADATA}, and its files are not those of one recording: expected {METADATA}, or files "
+            f"{path.resolve().name}_0.mcap or .db3 and so on"
+        )
+    problem = f"its {METADATA} is {'empty' if metadata.is_file() else 'missing'}"
+    return [path / name for name in parts], None, problem
+
+
+def is_ros2_bag(folder_name: str, names: Collection[str]) -> bool:
+    """Return whether a folder is a ROS 2 bag, with or without its metadata; arguments as for `_list_parts`."""
+    return METADATA in names or bool(_list_parts(folder_name, names))
+
+
+def _list_parts(folder_name: str, names: Iterable[str]) -> List[str]:
+    """Return the files of a recording whose metadata is missing, in their order; an empty list if it is none.
+
+    ``ros2 bag record`` names the files as their folder: ``NAME/NAME_0.mcap``, ``NAME/NAME_1.mcap``.
+
+    Args:
+        folder_name: name of the folder.
+        names: names of the files in the folder.
+    """
+    parts: Dict[int, str] = {}
+    for name in names:
+        suffix = max((suffix for suffix in SUFFIXES if name.endswith(suffix)), key=len, default="")
+        if not suffix:
+            continue
+        base, _, number = name[: -len(suffix)].rpartition("_")
+        # A folder with a file of another name is a folder of bags.
+        if base != folder_name or not number.isdecimal() or len(number) > 9:
+            return []
+        # While a recorder compresses a file, both exist, and the compressed one is not complete.
+        part = parts.setdefault(int(number), name)
+        if part.endswith(_COMPRESSED_SUFFIX):
+            parts[int(number)] = name
+    return [parts[number] for number in sorted(parts)]
 
 
 def _read_metadata(path: Path) -> Tuple[List[Path], bool]:
@@ -387,8 +529,8 @@ def _unquote(value: str) -> str:
     return "" if value in ("~", "null") else value
 
 
-def _unpack_file(path: Path, target: Path, limit: ChunkLimit) -> Path:
-    """Decompress a file; return the path of the new file.
+def _unpack_file(path: Path, target: Path, limit: ChunkLimit) -> bool:
+    """Decompress a file; return whether it is complete. Of a file that is cut, the part before the cut is written.
 
     Raises:
         BagError: if it would take too much disk space.
@@ -398,9 +540,16 @@ def _unpack_file(path: Path, target: Path, limit: ChunkLimit) -> Path:
         shutil.disk_usage(target.parent).free // 2,
     )
     with path.open("rb") as packed, zstd_reader(packed) as source, target.open("wb") as file:
-        if copy_up_to(source, file, max_bytes) > max_bytes:
-            raise BagError(
-                f"{path} is too large: unpacked it would have more than {format_count(max_bytes, 'byte')} "
-                "(--max-chunk-megabytes allows more)"
-            )
-    return target
+        try:
+            # `read` would lose the bytes that it has decompressed before the cut.
+            copied_bytes = copy_up_to(source.read1, file, max_bytes)
+        except (MissingPackageError, OSError):
+            raise
+        except Exception:  # any exception of the decompression library
+            return False
+    if copied_bytes > max_bytes:
+        raise BagError(
+            f"{path} is too large: unpacked it would have more than {format_count(max_bytes, 'byte')} "
+            "(--max-chunk-megabytes allows more)"
+        )
+    return True

@@ -5,23 +5,27 @@ instructions and of bytes.
 
 A recorder that was killed leaves its newest messages in the write-ahead log (``.db3-wal``). They are read, and
 nothing is written, as `read_only_sqlite` describes.
+
+A database that is shorter than its header states, or whose pages are damaged, is read by the primary key of its
+messages up to the first one that cannot be read: the index of their times may be damaged, too. They are sorted if
+they are not in order of time.
 """
 
-import logging
 import os
 import sqlite3
+from collections import Counter
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Any, Collection, Dict, Iterator, List, Optional, Tuple
+from typing import Any, Collection, Dict, Iterator, List, Mapping, Optional, Tuple
 
 from ..foundation.interrupts import check_interrupt, is_interrupted
 from ..foundation.read_only_sqlite import open_without_locks
 from ..messages.ros2_definitions import find_interfaces
+from .bag_files import Connection, IncompleteFile
 from .decompression import ChunkLimit, describe_error
-from .ros2_storage import Connection, Message
+from .message_merge import MAX_TIME, Message
 from .rosbag1 import IncompleteBagError
-
-log = logging.getLogger("retalis")
+from .sqlite_pages import count_complete_rows, read_stated_size
 
 _BASE_QUERY_STEPS = 1_000_000
 _STEPS_PER_BYTE = 10
@@ -44,6 +48,7 @@ class SqliteFile:
     Attributes:
         connections: topics of the file.
         start, end: times of the first and the last message in nanoseconds; 0 if there are none.
+        incomplete_file: description of what is missing, without the path; None if the file is complete.
 
     Raises:
         Exception: if the file cannot be read.
@@ -52,8 +57,18 @@ class SqliteFile:
     def __init__(self, path: Path, limit: ChunkLimit):
         # The log is beside the file itself, not beside a symbolic link to it.
         path = path.resolve()
-        self._size = path.stat().st_size + _measure_log(path)
+        log_size = _measure_log(path)
+        file_size = path.stat().st_size
+        self._size = file_size + log_size
+        # The newest pages of a database with a log are in the log only.
+        missing_bytes = 0 if log_size else max(0, read_stated_size(path) - file_size)
+        self._messages = "messages"
+        """Table of the messages, or the part of it that can be read."""
+        self._order = "ORDER BY timestamp"
         self._steps = 0
+        self.start = self.end = 0
+        problem = None
+        is_data_complete = False
         with ExitStack() as stack:
             self._database = open_without_locks(path)
             stack.callback(self._database.close)
@@ -63,9 +78,32 @@ class SqliteFile:
             if set_limit is not None:
                 set_limit(_LIMIT_LENGTH, min(limit.bytes + 1, self._size + 1, _MAX_LENGTH))
             self._database.set_progress_handler(self._count_steps, _STEPS_PER_CALLBACK)
-            self.connections = self._read_connections()
-            self.start, self.end = self._read_times()
+            if log_size:
+                problem = "its recorder has not closed it (it has a write-ahead log, which is read)"
+            elif _has_journal(path):
+                problem = (
+                    "its recorder has not ended a transaction (it has a rollback journal, which is ignored)"
+                )
+            try:
+                if missing_bytes:
+                    raise sqlite3.DatabaseError("it is shorter than it states")
+                self.connections = self._read_connections(self._count_messages())
+                self.start, self.end = self._read_times()
+            except sqlite3.DatabaseError as error:
+                problem = f"{describe_error(error)}{f', and {problem}' if problem else ''}"
+                is_data_complete = self._recover(None if log_size else path)
             self._stack = stack.pop_all()
+        self.incomplete_file = None
+        if problem is not None:
+            message_count = sum(connection.messages for connection in self.connections)
+            self.incomplete_file = IncompleteFile(
+                "",
+                problem,
+                message_count,
+                self.end,
+                missing_bytes=missing_bytes,
+                is_data_complete=is_data_complete,
+            )
 
     def read(self, ids: Collection[int], start: Optional[int], stop: Optional[int]) -> Iterator[Message]:
         """Yield the messages of connections in order of time, from ``start`` and before ``stop``.
@@ -73,15 +111,19 @@ class SqliteFile:
         Raises:
             Exception: if the file is malformed.
         """
+        # SQLite does not know a table whose first page is missing.
+        if not any(connection.messages for connection in self.connections):
+            return
         query = (
-            f"SELECT topic_id, timestamp, data FROM messages WHERE topic_id IN ({','.join(map(str, ids))})"
+            f"SELECT topic_id, timestamp, data FROM {self._messages} "
+            f"WHERE topic_id IN ({','.join(map(str, ids))})"
         )
         arguments = []
         for operator, bound in ((">=", start), ("<", stop)):
             if bound is not None:
                 query += f" AND timestamp {operator} ?"
                 arguments.append(bound)
-        for identifier, time, data in self._query_limited(f"{query} ORDER BY timestamp", *arguments):
+        for identifier, time, data in self._query_limited(f"{query} {self._order}", *arguments):
             # SQLite does not enforce the types of columns.
             if time.__class__ is not int or data.__class__ is not bytes:
                 raise ValueError("a message is not an integer and a blob")
@@ -119,11 +161,67 @@ class SqliteFile:
         self._steps -= _STEPS_PER_CALLBACK
         return self._steps < 0 or is_interrupted()  # True interrupts the query
 
-    def _read_connections(self) -> List[Connection]:
-        """Return the topics, with the definitions and the number of their messages."""
+    def _recover(self, path: Optional[Path]) -> bool:
+        """Read a damaged database up to the first message that is damaged; return whether there is none.
+
+        Args:
+            path: the database; None if it has a write-ahead log, which has some of its pages.
+
+        Raises:
+            ValueError: if its topics cannot be read.
+        """
+        # Without this, SQLite does not open a database that is shorter than its header states. Nothing is written.
+        self._database.execute("PRAGMA writable_schema = ON")
+        try:
+            self._require_tables()
+            connections = self._read_connections({})
+            ((root_page,),) = self._query_limited(
+                "SELECT rootpage FROM sqlite_master WHERE name = 'messages'"
+            )
+        except (sqlite3.DatabaseError, ValueError) as error:
+            raise ValueError(
+                f"it is cut or damaged, and its topics cannot be read: {describe_error(error)}"
+            ) from error
+        counts: Counter[int] = Counter()
+        self.start, previous_time, is_in_order = MAX_TIME, 0, True
+        count, is_complete = (-1, True) if path is None else count_complete_rows(path, root_page)
+        try:
+            # The primary key is used, because the index of the times may be damaged, too.
+            for identifier, time, data in self._query_limited(
+                f"SELECT topic_id, timestamp, data FROM messages NOT INDEXED LIMIT {count}"
+            ):
+                if time.__class__ is not int or data.__class__ is not bytes:
+                    is_complete = False
+                    break
+                counts[identifier] += 1
+                self.start, self.end = min(self.start, time), max(self.end, time)
+                is_in_order = is_in_order and time >= previous_time
+                previous_time = time
+        except sqlite3.DatabaseError:
+            is_complete = False
+        count = sum(counts.values())
+        if not count:
+            self.start = 0
+        # A query with this limit ends before it reads the damaged page.
+        self._messages = f"(SELECT topic_id, timestamp, data FROM messages NOT INDEXED LIMIT {count})"
+        if is_in_order:
+            self._order = ""
+        self.connections = [connection._replace(messages=counts[connection.id]) for connection in connections]
+        return is_complete
+
+    def _require_tables(self) -> None:
+        """Raise `ValueError` if a table is missing."""
         for table in ("topics", "messages"):
             if not self._has_table(table):
                 raise ValueError(f"it has no table '{table}': expected a database that ros2 bag has written")
+
+    def _count_messages(self) -> Mapping[int, int]:
+        """Return the number of messages by the id of their topic."""
+        self._require_tables()
+        return dict(self._query_limited("SELECT topic_id, count(*) FROM messages GROUP BY topic_id"))
+
+    def _read_connections(self, counts: Mapping[int, int]) -> List[Connection]:
+        """Return the topics, with the definitions and the number of their messages."""
         definitions: Dict[str, Tuple[str, str]] = {}
         if self._has_table("message_definitions"):
             rows = self._query_limited(
@@ -131,7 +229,6 @@ class SqliteFile:
             )
             for name, encoding, text in rows:
                 definitions.setdefault(_require_text(name), (_require_text(encoding), _require_text(text)))
-        counts = dict(self._query_limited("SELECT topic_id, count(*) FROM messages GROUP BY topic_id"))
         connections = []
         for identifier, topic, name, message_format in self._query_limited(
             "SELECT id, name, type, serialization_format FROM topics"
@@ -191,15 +288,6 @@ def _measure_log(path: Path) -> int:
     Raises:
         IncompleteBagError: if the log cannot be read.
     """
-    journal_path = f"{path}-journal"
-    if os.path.exists(journal_path) and os.path.getsize(journal_path):
-        # SQLite would change the file to undo its last transaction, and may delete a file that the journal names.
-        log.warning(
-            "%s: its rollback journal %s-journal is ignored: the recorder was interrupted, and the last messages may "
-            "be incomplete; open a copy of both files with sqlite3 to undo the last transaction",
-            path,
-            path.name,
-        )
     log_path = f"{path}-wal"
     if not os.path.lexists(log_path):
         return 0
@@ -211,6 +299,15 @@ def _measure_log(path: Path) -> int:
             f"{path}: its write-ahead log {path.name}-wal, which has the newest messages, cannot be read: "
             f"{describe_error(error)}: make the log readable, or copy both files to another folder"
         ) from error
+
+
+def _has_journal(path: Path) -> bool:
+    """Return whether a database has a rollback journal.
+
+    SQLite would change the file to undo its last transaction, and may delete a file that the journal names.
+    """
+    journal_path = f"{path}-journal"
+    return os.path.exists(journal_path) and os.path.getsize(journal_path) > 0
 
 
 def _require_text(text: object) -> str:

@@ -1,44 +1,27 @@
-"""Connections and messages of the files of ROS 2 bags, and their merge by time.
+"""Merge by time of the messages of several sources: files of a bag, or chunks of a file.
 
-`sqlite_file` and `mcap_file` read one file each; `rosbag2` combines the files of a bag. `merge_by_time` merges
-sources (files of a bag, chunks of a file) with a heap of the sources that overlap at the current time, so that memory
-does not depend on the length of the bag.
+`merge_by_time` merges sources with a heap of the sources that overlap at the current time, so that memory does not
+depend on the length of the bag. `list_chunk_sources` makes sources of the chunks of a file, and limits the number of
+bytes of the chunks that overlap.
 """
 
+from functools import partial
 from heapq import heappop, heappush
-from typing import Any, Callable, Iterable, Iterator, List, NamedTuple, Tuple, TypeVar
+from typing import Any, Callable, Iterable, Iterator, List, Tuple, TypeVar
+
+from ..foundation.interrupts import check_interrupt
+from .decompression import ChunkLimit
 
 Message = Tuple[int, int, bytes]
 """A message: number of its connection, time in nanoseconds, and bytes."""
-
-
-class Connection(NamedTuple):
-    """A topic of a file.
-
-    Attributes:
-        id: its number in the file.
-        topic: name of the topic.
-        type: message type, ``pkg/msg/Type``.
-        encoding: format of the definition: ``ros2msg``, ``ros2idl``, or empty.
-        definition: text of the definition, if the file contains it.
-        format: serialization format of the messages, ``cdr``.
-        messages: number of messages.
-    """
-
-    id: int
-    topic: str
-    type: str
-    encoding: str
-    definition: str
-    format: str
-    messages: int
-
 
 MAX_TIME = (1 << 64) - 1
 """Maximum time of a message, in nanoseconds."""
 
 _Timed = TypeVar("_Timed", bound=Tuple[Any, int, bytes])
 """A tuple whose second item is a time: `Message` or `rosbag1.Record`."""
+
+_AnyChunk = TypeVar("_AnyChunk")
 
 
 def merge_by_time(sources: Iterable[Tuple[int, Callable[[], Iterator[_Timed]]]]) -> Iterator[_Timed]:
@@ -74,3 +57,31 @@ def _pop_until(heap: List[Tuple[int, int, _Timed, Iterator[_Timed]]], limit: int
                 heappush(heap, (message[1], number, message, messages))
                 break
             yield message
+
+
+def list_chunk_sources(
+    chunks: Iterable[Tuple[int, _AnyChunk]],
+    unpack: Callable[[_AnyChunk], bytes],
+    read: Callable[[bytes], Iterator[Message]],
+    limit: ChunkLimit,
+) -> List[Tuple[int, Callable[[], Iterator[Message]]]]:
+    """Return the chunks of a file as sources for `merge_by_time`.
+
+    Args:
+        chunks: the time of the first message of each chunk, and the chunk; sorted by that time.
+        unpack: returns the content of a chunk.
+        read: yields the messages of such a content in order of time.
+        limit: maximum number of bytes of the contents that are in memory at once.
+    """
+    bytes_in_memory = 0
+
+    def read_chunk(chunk: _AnyChunk) -> Iterator[Message]:
+        nonlocal bytes_in_memory
+        check_interrupt()
+        data = unpack(chunk)
+        bytes_in_memory += len(data)
+        limit.check(bytes_in_memory, "chunks that overlap in time have")
+        yield from read(data)
+        bytes_in_memory -= len(data)
+
+    return [(start, partial(read_chunk, chunk)) for start, chunk in chunks]
