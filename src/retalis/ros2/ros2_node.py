@@ -8,7 +8,7 @@ import threading
 from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Callable, List, Optional
+from typing import TYPE_CHECKING, Any, Callable, List, Optional, TypeVar
 
 import rclpy
 from lifecycle_msgs.srv import ChangeState
@@ -53,6 +53,8 @@ if TYPE_CHECKING:
 
 log = logging.getLogger("retalis")
 
+ResultType = TypeVar("ResultType")
+
 MAX_SHUTDOWN_SECONDS = 8.0
 """Limit in seconds for the shutdown; ``ros2 launch`` sends SIGTERM and then SIGKILL from 10 s after SIGINT on."""
 
@@ -91,6 +93,8 @@ class RetalisNode(LifecycleNode):
         self._reports = Reports()
         self._transition_lock = threading.Lock()
         """Held during a transition: the main thread starts the node, and the executor handles requests."""
+        self._transition_count = 0
+        """Number of transitions that have begun."""
         self._program_lock = threading.Lock()
         """Held while the next attributes change: the main thread ends the node at any moment."""
         self._transport: Optional[RclpyTransport] = None
@@ -108,14 +112,28 @@ class RetalisNode(LifecycleNode):
 
     def start(self) -> bool:
         """Configure and activate the node; return whether it is active, or a request has changed its state before."""
-        success = TransitionCallbackReturn.SUCCESS
         with self._transition_lock:
-            try:
-                return bool(self.trigger_configure() == success and self.trigger_activate() == success)
-            except RuntimeError as error:
-                # The services of the life cycle exist before this method is called.
-                log.warning("the node does not activate itself: a request has changed its state: %s", error)
-                return True
+            for trigger in (self.trigger_configure, self.trigger_activate):
+                result = self._run_transition(trigger)
+                if result is None:
+                    # The services of the life cycle exist before this method is called.
+                    log.warning("the node does not activate itself: a request has changed its state")
+                    return True
+                if result != TransitionCallbackReturn.SUCCESS:
+                    return False
+        return True
+
+    def _run_transition(self, trigger: Callable[[], ResultType]) -> Optional[ResultType]:
+        """Run a transition; return its result, or None if the state of the node does not allow it.
+
+        rclpy 7 raises an error for such a transition, rclpy 9 returns the result of one that has failed.
+        """
+        count = self._transition_count
+        try:
+            result = trigger()
+        except RuntimeError:
+            return None
+        return None if self._transition_count == count else result
 
     def end(self) -> None:
         """End the program and the node, also while a transition is in work."""
@@ -129,7 +147,7 @@ class RetalisNode(LifecycleNode):
     def _answer_refused_transitions(self) -> None:
         """Execute requests for transitions one after the other, and answer those that the state does not allow.
 
-        rclpy raises an error for these, and their clients would wait for an answer forever.
+        rclpy 7 raises an error for these, and their clients would wait for an answer forever.
         """
         for service in self.services:
             if service.srv_type is ChangeState:
@@ -139,13 +157,11 @@ class RetalisNode(LifecycleNode):
         self, change_state: Callable[[Any, Any], Any], request: ChangeState.Request, response: Any
     ) -> Any:
         with self._transition_lock:
-            try:
-                return change_state(request, response)
-            except RuntimeError:
+            if self._run_transition(lambda: change_state(request, response)) is None:
                 transition = request.transition.label or request.transition.id
                 log.warning("transition %s is refused: the state of the node does not allow it", transition)
                 response.success = False
-                return response
+        return response
 
     def _change_parameters_in_threads(self) -> None:
         """Handle requests that change parameters in threads of their own: the engine may be busy with an event."""
@@ -237,6 +253,7 @@ class RetalisNode(LifecycleNode):
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Read the parameters."""
+        self._transition_count += 1
         try:
             # There is no other node that could offer a part of the services.
             parameters = read_parameters(read_node_parameters(self), find_default_program)
@@ -249,6 +266,7 @@ class RetalisNode(LifecycleNode):
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Start the program."""
+        self._transition_count += 1
         try:
             self._start_program()
         except Exception as error:
@@ -262,17 +280,20 @@ class RetalisNode(LifecycleNode):
 
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """End the program."""
+        self._transition_count += 1
         self._end_program()
         return TransitionCallbackReturn.SUCCESS
 
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Forget the parameters."""
+        self._transition_count += 1
         with self._program_lock:
             self._program_parameters = None
         return TransitionCallbackReturn.SUCCESS
 
     def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
         """End the program and the process."""
+        self._transition_count += 1
         self._end_program()
         self.is_finalized = True
         return TransitionCallbackReturn.SUCCESS
@@ -321,8 +342,9 @@ class RetalisNode(LifecycleNode):
         if transport is None:
             return
         transport.shut_down()
-        if not self._is_ending:
-            self._clock_subscription = follow_clock(self)
+        with self._program_lock:
+            if not self._is_ending:
+                self._clock_subscription = follow_clock(self)
 
 
 def main(arguments: Optional[List[str]] = None) -> int:
