@@ -23,7 +23,14 @@ _THREAD_CHECK_SECONDS = 0.1
 VARIABLES_OF_PYTEST = ("PYTEST_CURRENT_TEST",)
 """Environment variables that pytest changes for each phase of a test."""
 
-THREADS_OF_DISTRIBUTED = ("AsyncProcess ", "Dask-Offload_", "IO loop", "QueueFeederThread")
+THREADS_OF_DISTRIBUTED = (
+    "AsyncProcess ",
+    "Dask-Call",
+    "Dask-Callback",
+    "Dask-Offload_",
+    "IO loop",
+    "QueueFeederThread",
+)
 """Beginnings of the names of threads that cannot be ended from outside, because distributed does not hand them out.
 
 Those of a worker that a cluster has restarted last as long as the cluster, which may be that of a module. Those for

@@ -11,6 +11,7 @@ import pytest
 
 from retalis import BagWriter, Definitions, functor
 from retalis.cli.command_line import main
+from retalis.cli.dask_cluster import ClusterError, ClusterOptions
 
 TOPICS = '<publish_subscribe><subscribe_to name="heat" msg_type="std_msgs/Int8"/></publish_subscribe>'
 GOALS = "compile_event_file('eventRules.txt')\nsubscribe(hot(_), [], _, alarms, a)\n"
@@ -228,9 +229,11 @@ def test_cluster_compares_bags(
 ) -> None:
     tasks: List[Any] = []
 
-    def run_here(function: Any, sent: Sequence[Any], address: str) -> Iterator[Tuple[int, Any]]:
+    def run_here(
+        function: Any, sent: Sequence[Any], cluster: ClusterOptions, listener: Any
+    ) -> Iterator[Tuple[int, Any]]:
         """Run the tasks in this process: `run_on_cluster` is tested with real workers."""
-        assert address == "tcp://here:1"
+        assert cluster.address == "tcp://here:1"
         tasks.extend(pickle.loads(pickle.dumps(list(sent))))
         monkeypatch.chdir("/")
         yield from ((number, function(task, str(folder))) for number, task in enumerate(tasks))
@@ -240,6 +243,19 @@ def test_cluster_compares_bags(
     assert (status, error) == (1, "")
     assert text.endswith("2 bags: 2 equal outputs, 1 lost\n")
     assert [Path(task.bag) for task in tasks] == [folder / "bags" / "a.bag", folder / "bags" / "b.bag"]
+
+
+def test_lost_cluster_is_one_line(
+    capsys: pytest.CaptureFixture[str], folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def lose(function: Any, sent: Sequence[Any], cluster: Any, listener: Any) -> Iterator[Tuple[int, Any]]:
+        yield 1, function(sent[1], str(folder))
+        raise ClusterError("the scheduler is lost")
+
+    monkeypatch.setattr("retalis.cli.diff_command.run_on_cluster", lose)
+    status, text, error = run_diff(capsys, "old", "new", "bags", "--scheduler", "tcp://here:1")
+    assert (status, error) == (1, "error: the scheduler is lost\n")
+    assert "1 bag failed" in text
 
 
 def test_wrong_use_is_reported(capsys: pytest.CaptureFixture[str], folder: Path) -> None:

@@ -56,6 +56,19 @@ def test_rate_below_one_is_shown() -> None:
     )
 
 
+def test_log_has_line_each_minute() -> None:
+    output, clock, share = StringIO(), Clock(), 0.0
+    bar = ProgressBar("bags", lambda: share, output, clock, is_log=True)
+    bar.state = "2 workers"
+    for clock.now, share in ((130.0, 0.01), (160.0, 0.02), (170.0, 0.03), (220.0, 0.04)):
+        bar(round(share * 100))
+        bar.clear()
+    assert output.getvalue().splitlines() == [
+        "2% 2 bags, 2.0/min, 49:00 left; 2 workers",
+        "4% 4 bags, 2.0/min, 48:00 left; 2 workers",
+    ]
+
+
 def test_no_bar_is_drawn_without_terminal(capsys: pytest.CaptureFixture[str]) -> None:
     with show_progress("messages", lambda: 0.5) as bar:
         assert bar is None

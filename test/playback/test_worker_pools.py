@@ -1,23 +1,21 @@
-"""Tasks in worker processes and on Dask clusters: distribution, dead workers, and errors."""
+"""Tasks in worker processes: distribution and dead workers."""
 
 import os
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any, Iterator, List
+from typing import Any, List
 
 import pytest
 from asserting_accessors import fail
 from source import ROOT
 from subprocess_python_path import python_path
-from worker_tasks import run_task, run_task_in_folder
+from worker_tasks import run_task
 
-from retalis import UsageError
 from retalis.playback.worker_pools import (
     MAX_WORKER_DEATHS,
     Unfinished,
     run_in_processes,
-    run_on_cluster,
 )
 
 pytestmark = pytest.mark.slow
@@ -66,42 +64,3 @@ def test_workers_end_with_killed_parent() -> None:
         [sys.executable, "-c", script], env=environment, stdout=subprocess.PIPE, timeout=60
     )
     assert process.returncode == -9
-
-
-@pytest.fixture(scope="module")
-def distributed() -> Any:
-    """Return the package, imported before the state of loggers is compared: its import sets their levels."""
-    return pytest.importorskip("distributed")
-
-
-@pytest.fixture(scope="module")
-def cluster(distributed: Any) -> Iterator[Any]:
-    options = {"dashboard_address": None, "scheduler_kwargs": {"allowed_failures": 1}}
-    with distributed.LocalCluster(n_workers=1, threads_per_worker=1, processes=True, **options) as cluster:
-        yield cluster.scheduler_address
-
-
-def test_cluster_retries_task_of_lost_worker(cluster: Any, tmp_path: Path) -> None:
-    results = dict(
-        run_on_cluster(
-            run_task_in_folder, [f"{task} in {tmp_path}" for task in ("once a", "pid", "die b")], cluster
-        )
-    )
-    assert results[0] == "once a"
-    assert isinstance(results[1], int)
-    assert isinstance(results[2], Unfinished)
-    assert results[2].reason.startswith("KilledWorker: ")
-
-
-def test_unreachable_scheduler_is_an_error(monkeypatch: pytest.MonkeyPatch, distributed: Any) -> None:
-    monkeypatch.setattr("retalis.playback.worker_pools._CONNECT_TIMEOUT_SECONDS", 0.2)
-    with pytest.raises(UsageError, match="--scheduler tcp://127.0.0.1:1: no scheduler answers: "):
-        list(run_on_cluster(run_task, ["pid"], "tcp://127.0.0.1:1"))
-    with pytest.raises(UsageError, match="--scheduler nonsense://: no scheduler answers: "):
-        list(run_on_cluster(run_task, ["pid"], "nonsense://"))
-
-
-def test_missing_distributed_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "distributed", None)
-    with pytest.raises(UsageError, match="needs the Python package distributed"):
-        list(run_on_cluster(run_task, ["pid"], "tcp://127.0.0.1:1"))

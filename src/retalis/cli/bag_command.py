@@ -56,7 +56,7 @@ from ..playback.bag_locations import (
 )
 from ..playback.playback import Output, Playback, RunRecorder, RunTable, make_output_record
 from ..playback.rosbag1 import BagWriter
-from ..playback.worker_pools import Unfinished, run_in_processes, run_on_cluster
+from ..playback.worker_pools import Unfinished, run_in_processes
 from ..prolog.syntax.event_text import to_text
 from ..prolog.syntax.term_reader import read_term
 from ..prolog.terms import timestamps
@@ -74,6 +74,14 @@ from .command_options import (
     connect_answers,
     message_folders,
 )
+from .dask_cluster import (
+    ClusterError,
+    ClusterListener,
+    add_cluster_options,
+    cluster_options,
+    make_listener,
+    run_on_cluster,
+)
 from .event_and_solution_printer import JSON_HELP, Printer, TimeOrigin, redirect_goal_output
 from .option_values import (
     RELATIVE_TIMES_OPTION,
@@ -88,6 +96,7 @@ from .stderr_and_progress import (
     ProgressBar,
     StderrReporter,
     detach_reporters,
+    show_long_progress,
     show_progress,
 )
 
@@ -156,6 +165,7 @@ def add_parser(add_command: Callable[..., argparse.ArgumentParser]) -> None:
     add_end_of_input(parser, OPEN_HELP)
     _add_coverage_options(parser)
     add_many_bags_options(parser)
+    add_cluster_options(parser)
     add_folders(parser)
     add_limits(parser)
     parser.set_defaults(run=run)
@@ -638,7 +648,17 @@ class _LimitedOutput(io.StringIO):
         return super().getvalue() + truncation_note
 
 
-_MANY_BAGS_OPTIONS = ("bags", "output", "overwrite", "jobs", "scheduler", "parts", "format")
+_MANY_BAGS_OPTIONS = (
+    "bags",
+    "output",
+    "overwrite",
+    "jobs",
+    "parts",
+    "format",
+    "scheduler",
+    "worker_timeout",
+    "any_version",
+)
 _PARSER_ENTRIES = ("command", "run", "root_parser")
 """Entries of the parsed options that a `BagTask` does not need."""
 
@@ -656,12 +676,6 @@ def add_many_bags_options(parser: argparse.ArgumentParser) -> None:
         type=positive_integer,
         metavar="N",
         help="play N bags at a time, in processes of this machine",
-    )
-    add(
-        "--scheduler",
-        metavar="ADDRESS",
-        help="play them on the Dask cluster of this scheduler, as tcp://HOST:8786; its workers need this package, "
-        "and have to see the program, bags and results under the same paths; needs --output",
     )
     add(
         "--parts",
@@ -717,29 +731,26 @@ def play_separately(options: argparse.Namespace) -> int:
         tasks, ready = _create_tasks(options, recordings, scratch)
         stack.callback(remove_incomplete_results, [task.target for task in tasks])
         reporter = _OutcomeReporter(tasks, to_print=options.output is None)
-        bar = stack.enter_context(show_progress("bags", lambda: reporter.finished_count / len(tasks)))
-        clear_bar = bar.clear if bar is not None else lambda: None
-
-        def warn_worker_death(number: int, description: str) -> None:
-            clear_bar()
-            print(
-                f"warning: {tasks[number].location}: its worker died {description}; it is played again",
-                file=sys.stderr,
-            )
-
-        outcomes = stack.enter_context(closing(_run_tasks(options, tasks, ready, scratch, warn_worker_death)))
-        for number, outcome in outcomes:
-            clear_bar()
-            if isinstance(outcome, BagOutcome) and outcome.state is not None:
-                # The next part runs before other bags, so that few snapshots exist at a time: they are large.
-                tasks[number + 1] = tasks[number + 1]._replace(state=outcome.state)
-                ready.appendleft(number + 1)
-                outcome = outcome._replace(state=None)
-            # The snapshot that the task started from is not needed any more, unless its worker had died.
-            tasks[number] = tasks[number]._replace(state=None)
-            reporter.add_outcome(number, outcome)
-            if bar is not None:
+        bar = stack.enter_context(show_long_progress("bags", lambda: reporter.finished_count / len(tasks)))
+        listener = make_listener(
+            bar, lambda number: tasks[number].location, "played", lambda: reporter.finished_count
+        )
+        outcomes = stack.enter_context(closing(_run_tasks(options, tasks, ready, scratch, listener)))
+        try:
+            for number, outcome in outcomes:
+                bar.clear()
+                if isinstance(outcome, BagOutcome) and outcome.state is not None:
+                    # The next part runs before other bags, so that few snapshots exist at a time: they are large.
+                    tasks[number + 1] = tasks[number + 1]._replace(state=outcome.state)
+                    ready.appendleft(number + 1)
+                    outcome = outcome._replace(state=None)
+                # The snapshot that the task started from is not needed any more, unless its worker had died.
+                tasks[number] = tasks[number]._replace(state=None)
+                reporter.add_outcome(number, outcome)
                 bar(reporter.finished_count)
+        except ClusterError as error:
+            listener.report(f"error: {error}")
+            reporter.fail_unfinished()
         if _records_coverage(options):
             _report_coverage(options, reporter.coverage)
         return reporter.finish()
@@ -750,11 +761,11 @@ def _run_tasks(
     tasks: List[BagTask],
     ready: Deque[int],
     scratch: str,
-    on_worker_death: Callable[[int, str], object],
+    listener: ClusterListener,
 ) -> Generator[Tuple[int, _TaskOutcome], None, None]:
     if options.scheduler:
-        return run_on_cluster(play_bag, tasks, options.scheduler, ready)
-    return run_in_processes(play_bag, tasks, options.jobs, scratch, on_worker_death, ready)
+        return run_on_cluster(play_bag, tasks, cluster_options(options), listener, ready)
+    return run_in_processes(play_bag, tasks, options.jobs, scratch, listener.on_worker_death, ready)
 
 
 def _check_options(options: argparse.Namespace) -> None:
@@ -900,6 +911,14 @@ class _OutcomeReporter:
         while self._next_to_report in self._outcomes:
             self._report(self._tasks[self._next_to_report], self._outcomes.pop(self._next_to_report))
             self._next_to_report += 1
+
+    def fail_unfinished(self) -> None:
+        """Report the outcomes that are held back, and count all bags without an outcome as failed."""
+        for number in range(self._next_to_report, len(self._tasks)):
+            if number in self._outcomes:
+                self._report(self._tasks[number], self._outcomes.pop(number))
+            else:
+                self._failed_count += 1
 
     def _report(self, task: BagTask, outcome: _TaskOutcome) -> None:
         failure = _get_failure(outcome)

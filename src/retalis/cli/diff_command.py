@@ -17,7 +17,7 @@ from ..messages.type_registry import Definitions
 from ..node.subscribed_topics import HandlerFactory
 from ..playback.bag_locations import MergedBag, find_bags, is_url, local_copy
 from ..playback.playback import Playback
-from ..playback.worker_pools import Unfinished, run_in_processes, run_on_cluster
+from ..playback.worker_pools import Unfinished, run_in_processes
 from ..prolog.terms.timestamps import SECOND
 from ..testing.case_run import ProblemLog
 from ..testing.output_changes import (
@@ -32,10 +32,17 @@ from ..testing.output_changes import (
 )
 from ..testing.program_difference import Extent
 from .command_options import add_message_folders, message_folders
+from .dask_cluster import (
+    ClusterError,
+    add_cluster_options,
+    cluster_options,
+    make_listener,
+    run_on_cluster,
+)
 from .git_revisions import Revision, extract_revision
 from .option_values import non_negative, positive_integer
 from .optional_ros_imports import installed_definitions
-from .stderr_and_progress import paint, show_progress
+from .stderr_and_progress import paint, show_long_progress
 
 DESCRIPTION = """\
 Run two versions of a program over bags, and print each output that is lost, gained, moved to another time, or
@@ -80,14 +87,8 @@ def add_parser(add_command: Callable[..., argparse.ArgumentParser]) -> None:
     )
     add("--json", action="store_true", help="print one JSON object for each change")
     add("--junit", type=Path, metavar="FILE", help="write the results as JUnit XML, a test case for each bag")
-    add = parser.add_argument_group("message types and clusters").add_argument
-    add_message_folders(add)
-    add(
-        "--scheduler",
-        metavar="ADDRESS",
-        help="use the Dask cluster of this scheduler, as tcp://HOST:8786; its workers need this package and both "
-        "folders",
-    )
+    add_message_folders(parser.add_argument_group("message types").add_argument)
+    add_cluster_options(parser)
     parser.set_defaults(run=run, reject_usage=parser.error)
 
 
@@ -103,11 +104,15 @@ class _ComparisonTask(NamedTuple):
 
 
 class _BagResult(NamedTuple):
-    """Result for a bag: the comparison, or the error of the bag."""
+    """Result for a bag: the comparison, or the error of the bag.
+
+    ``is_reported`` is true if the error concerns all bags that are left, and has been printed.
+    """
 
     bag: str
     comparison: Optional[Comparison]
     error: str = ""
+    is_reported: bool = False
 
 
 def run(options: argparse.Namespace) -> int:
@@ -174,39 +179,47 @@ def _create_tasks(
 
 def _run_tasks(options: argparse.Namespace, tasks: Sequence[_ComparisonTask]) -> List[_BagResult]:
     """Return the results in the order of the bags."""
-    results: Dict[int, _BagResult] = {}
-
-    def warn_worker_death(number: int, description: str) -> None:
-        print(
-            f"warning: {tasks[number].bag}: its worker died {description}; it is compared again",
-            file=sys.stderr,
-        )
-
-    with ExitStack() as stack:
-        scratch = stack.enter_context(TemporaryDirectory(prefix="retalis-"))
-        # Worthwhile if a bag is downloaded, or the programs would be loaded for each of several bags.
-        if (
-            not options.full
-            and any(len(tasks) > 1 or is_url(task.bag) for task in tasks)
-            and _has_equal_versions(tasks[0])
-        ):
-            comparison = Comparison((), 0, 0, Extent.EQUAL)
-            return [_BagResult(task.bag, comparison) for task in tasks]
+    # Worthwhile if a bag is downloaded, or the programs would be loaded for each of several bags.
+    if (
+        not options.full
+        and any(len(tasks) > 1 or is_url(task.bag) for task in tasks)
+        and _has_equal_versions(tasks[0])
+    ):
+        comparison = Comparison((), 0, 0, Extent.EQUAL)
+        return [_BagResult(task.bag, comparison) for task in tasks]
+    with TemporaryDirectory(prefix="retalis-") as scratch:
         if len(tasks) == 1 and not options.scheduler:
             return [_compare_bag(tasks[0], scratch)]
-        bar = stack.enter_context(show_progress("bags", lambda: len(results) / len(tasks)))
+        return _run_on_workers(options, tasks, scratch)
+
+
+def _run_on_workers(
+    options: argparse.Namespace, tasks: Sequence[_ComparisonTask], scratch: str
+) -> List[_BagResult]:
+    """Return the results of tasks that other processes perform."""
+    results: Dict[int, _BagResult] = {}
+    cluster_error = ""
+    with ExitStack() as stack:
+        bar = stack.enter_context(show_long_progress("bags", lambda: len(results) / len(tasks)))
+        listener = make_listener(bar, lambda number: tasks[number].bag, "compared", lambda: len(results))
         if options.scheduler:
-            outcomes = run_on_cluster(_compare_bag, tasks, options.scheduler)
+            outcomes = run_on_cluster(_compare_bag, tasks, cluster_options(options), listener)
         else:
             jobs = options.jobs or os.cpu_count() or 1
-            outcomes = run_in_processes(_compare_bag, tasks, jobs, scratch, warn_worker_death)
-        for number, outcome in stack.enter_context(closing(outcomes)):
-            if isinstance(outcome, Unfinished):
-                outcome = _BagResult(tasks[number].bag, None, outcome.reason)
-            results[number] = outcome
-            if bar is not None:
+            outcomes = run_in_processes(_compare_bag, tasks, jobs, scratch, listener.on_worker_death)
+        try:
+            for number, outcome in stack.enter_context(closing(outcomes)):
+                if isinstance(outcome, Unfinished):
+                    outcome = _BagResult(tasks[number].bag, None, outcome.reason)
+                results[number] = outcome
                 bar(len(results))
-    return [results[number] for number in range(len(tasks))]
+        except ClusterError as error:
+            listener.report(f"{paint('error', 'error', sys.stderr)}: {error}")
+            cluster_error = error.message
+    return [
+        results.get(number) or _BagResult(task.bag, None, cluster_error, is_reported=True)
+        for number, task in enumerate(tasks)
+    ]
 
 
 def _has_equal_versions(task: _ComparisonTask) -> bool:
@@ -288,6 +301,8 @@ def _is_equal(result: _BagResult) -> bool:
 
 
 def _print_result(result: _BagResult, as_json: bool) -> None:
+    if result.is_reported:
+        return
     if result.comparison is None:
         place = "" if result.error.startswith(result.bag) else f"{result.bag}: "
         print(f"{paint('error', 'error', sys.stderr)}: {place}{result.error}", file=sys.stderr)

@@ -1,4 +1,4 @@
-"""Worker pools that run tasks in processes of this machine, or on a Dask cluster.
+"""Worker pools that run tasks in processes of this machine.
 
 A task may kill its worker, for example by a crash or by exhausting the memory. The task is then repeated on another
 worker, and reported as unfinished after `MAX_WORKER_DEATHS` deaths.
@@ -9,7 +9,6 @@ import signal
 from collections import Counter, deque
 from multiprocessing.connection import Connection, wait
 from typing import (
-    Any,
     Callable,
     Deque,
     Dict,
@@ -24,15 +23,10 @@ from typing import (
     Union,
 )
 
-from ..foundation.errors import UsageError, install_hint
 from ..foundation.interrupts import interruptible
-from .decompression import describe_error
 
 MAX_WORKER_DEATHS = 4
-"""Number of worker deaths after which a task is given up; on a cluster, the scheduler's setting applies."""
-
-_CONNECT_TIMEOUT_SECONDS = 10
-"""Timeout in seconds for connecting to a scheduler."""
+"""Number of worker deaths after which a task is given up."""
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")
@@ -175,71 +169,3 @@ def _describe_exit(code: Optional[int]) -> str:
     if code is not None and code < 0:
         return f"by {signal.Signals(-code).name}"
     return f"with status {code}"
-
-
-def run_on_cluster(
-    function: "Function[Task, Result]",
-    tasks: Sequence[Task],
-    address: str,
-    ready: Optional[Deque[int]] = None,
-) -> "TaskResults[Result]":
-    """Run tasks on the workers of a Dask cluster on which this package is installed.
-
-    The scheduler repeats the tasks of a lost worker, and gives a task up after the number of deaths in
-    ``distributed.scheduler.allowed-failures``. At most one task per worker is submitted, because the scheduler counts
-    a death against all tasks of the worker.
-
-    Args:
-        function: performs a task.
-        tasks: the tasks.
-        address: address of the scheduler, ``tcp://HOST:PORT``.
-        ready: as for `run_in_processes`.
-
-    Raises:
-        UsageError: if no scheduler answers, or the Python package distributed is not installed.
-    """
-    distributed = _import_distributed()
-    try:
-        client = distributed.Client(address, timeout=_CONNECT_TIMEOUT_SECONDS, set_as_default=False)
-    except (OSError, ValueError) as error:  # includes timeouts
-        raise UsageError(f"--scheduler {address}: no scheduler answers: {describe_error(error)}") from error
-    with client:
-        pending = deque(range(len(tasks))) if ready is None else ready
-        indexes: Dict[Any, int] = {}
-        finished = distributed.as_completed(loop=client.loop)
-        while pending or indexes:
-            # At least one task is submitted without workers, so that tasks wait until one joins the cluster.
-            while pending and len(indexes) < max(1, len(client.nthreads())):
-                future = client.submit(_run_on_worker, function, tasks[pending[0]], pure=False)
-                indexes[future] = pending.popleft()
-                finished.add(future)
-            with interruptible():
-                future = next(finished)
-            result = _get_result(future)
-            # A future that is not released would be computed again if its worker dies later.
-            future.release()
-            yield indexes.pop(future), result
-
-
-def _import_distributed() -> Any:
-    try:
-        import distributed  # noqa: PLC0415 - an optional package
-    except ImportError:
-        raise UsageError(
-            "--scheduler needs the Python package distributed "
-            f"({install_hint('distributed', 'python3-distributed')})"
-        ) from None
-    return distributed
-
-
-def _run_on_worker(function: "Function[Task, Result]", task: Task) -> Result:
-    """Run a task in a process of a Dask worker, in the worker's temporary folder."""
-    return function(task, _import_distributed().get_worker().local_directory)
-
-
-def _get_result(future: Any) -> Any:
-    try:
-        return future.result()
-    # Errors of the cluster: a lost worker, a package that is missing on it, or a scheduler that is gone.
-    except Exception as error:
-        return Unfinished(f"{type(error).__name__}: {describe_error(error)}")
