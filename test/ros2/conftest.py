@@ -3,8 +3,11 @@
 The tests are skipped where rclpy, or the generated classes of this package, are not installed.
 """
 
+import fcntl
 import os
 import socket
+import tempfile
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Callable, Iterator, List
 
@@ -38,16 +41,31 @@ def is_unused(domain: int) -> bool:
     return True
 
 
-@pytest.fixture
-def domain(monkeypatch: pytest.MonkeyPatch) -> int:
-    """Return an unused domain, which the processes of the test use, on this machine only."""
+@contextmanager
+def reserve_domain() -> Iterator[int]:
+    """Reserve an unused domain, also from other processes that run tests at the same time."""
     first = os.getpid() % MAX_DOMAIN
-    candidates = [1 + (first + offset) % MAX_DOMAIN for offset in range(MAX_DOMAIN)]
-    unused = next(candidate for candidate in candidates if is_unused(candidate))
-    monkeypatch.setenv("ROS_DOMAIN_ID", str(unused))
-    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-    monkeypatch.setenv("ROS_LOCALHOST_ONLY", "1")  # Humble
-    return unused
+    for offset in range(MAX_DOMAIN):
+        domain = 1 + (first + offset) % MAX_DOMAIN
+        with (Path(tempfile.gettempdir()) / f"retalis_test_domain_{domain}.lock").open("w") as lock:
+            try:
+                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                continue
+            if is_unused(domain):
+                yield domain
+                return
+    pytest.fail("all domains are in use")
+
+
+@pytest.fixture
+def domain(monkeypatch: pytest.MonkeyPatch) -> Iterator[int]:
+    """Return an unused domain, which the processes of the test use, on this machine only."""
+    with reserve_domain() as unused:
+        monkeypatch.setenv("ROS_DOMAIN_ID", str(unused))
+        monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+        monkeypatch.setenv("ROS_LOCALHOST_ONLY", "1")  # Humble
+        yield unused
 
 
 @pytest.fixture
