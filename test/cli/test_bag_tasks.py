@@ -12,7 +12,9 @@ from asserting_accessors import required
 from bags_and_program import SECOND, make_bag, make_program
 
 from retalis import BagReader
-from retalis.cli.bag_command import _MAX_MESSAGE_CHARACTERS, BagTask, add_parser, play_bag, single_bag_options
+from retalis.cli.bag_command import BagTask, add_parser, play_bag
+from retalis.cli.many_bags_options import single_bag_options
+from retalis.cli.stderr_and_progress import MAX_BAG_TEXT_CHARACTERS
 from retalis.foundation.garbage_collection import stop_limiting_gc_pauses
 
 
@@ -131,11 +133,11 @@ def test_long_stderr_is_truncated(program: Any, tmp_path: Path, monkeypatch: pyt
     task = make_task(program, bag, tmp_path / "result", None)
     monkeypatch.setattr(
         "retalis.cli.bag_command.play",
-        lambda *arguments: sys.stderr.write("e" * (_MAX_MESSAGE_CHARACTERS + 7)),
+        lambda *arguments: sys.stderr.write("e" * (MAX_BAG_TEXT_CHARACTERS + 7)),
     )
     assert (
         play_bag(task, str(tmp_path)).stderr_text
-        == "e" * _MAX_MESSAGE_CHARACTERS + "\n... and 7 more characters\n"
+        == "e" * MAX_BAG_TEXT_CHARACTERS + "\n... and 7 more characters\n"
     )
 
 

@@ -51,7 +51,7 @@ def test_results_equal_those_of_single_bags(
 ) -> None:
     assert main(["bag", str(bags), "--program", program, "--jobs", "2", "--output", f"{tmp_path}/new"]) == 1
     assert capfd.readouterr().out == ""
-    results = sorted(path.relative_to(tmp_path / "new") for path in (tmp_path / "new").rglob("*.*"))
+    results = sorted(path.relative_to(tmp_path / "new") for path in (tmp_path / "new").rglob("[!.]*.bag"))
     assert [str(path) for path in results] == [f"{name}.bag" for name in VALID_BAGS]
     for name in VALID_BAGS:
         single = tmp_path / "one.bag"
@@ -128,6 +128,9 @@ CONFLICTS = {
     "bags --scheduler tcp://x:1": "--scheduler needs --output",
     "bags --jobs 2 --format jsonl": "--format needs --output",
     "bags --parts": "--parts needs --jobs or --scheduler",
+    "bags --jobs 2 --resume": "--resume needs --output",
+    "bags --resume --output new": "--resume needs --jobs or --scheduler",
+    "bags --jobs 2 --resume --coverage --output new": "--resume: whole results have no coverage",
     "bags --format jsonl --output new": "--format needs --jobs or --scheduler",
     "bags --jobs 2 --write-folder x": "--write-folder: bags that are played at the same time",
     "bags --jobs 2 --output new --events": "--events: a bag contains only published messages",

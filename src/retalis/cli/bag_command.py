@@ -9,7 +9,6 @@ does not depend on the number of workers.
 """
 
 import argparse
-import io
 import os
 import shutil
 import sys
@@ -47,7 +46,6 @@ from ..playback.bag_locations import (
     MergedBag,
     find_bags,
     group_recordings,
-    is_folder_of_bags,
     is_url,
     local_copy,
     location_exists,
@@ -83,16 +81,30 @@ from .dask_cluster import (
     run_on_cluster,
 )
 from .event_and_solution_printer import JSON_HELP, Printer, TimeOrigin, redirect_goal_output
+from .many_bags_options import (
+    add_many_bags_options,
+    check_many_bags_options,
+    requests_separate_runs,
+    select_format,
+    single_bag_options,
+)
 from .option_values import (
     RELATIVE_TIMES_OPTION,
     TIMES_AS_STAMPS,
     TIMES_RELATIVE,
     non_negative,
     parse_delay,
-    positive_integer,
 )
 from .optional_ros_imports import installed_definitions
+from .result_manifest import (
+    ResultManifest,
+    compute_inputs,
+    find_whole_results,
+    manifest_location,
+    record_result,
+)
 from .stderr_and_progress import (
+    LimitedText,
     ProgressBar,
     StderrReporter,
     detach_reporters,
@@ -532,13 +544,6 @@ class _OutputWriter:
         self._writer.write(self._connections[topic], output.time, output.data)
 
 
-FORMATS = ("bag", "parquet", "jsonl")
-"""Formats of the results of separate runs."""
-
-_MAX_MESSAGE_CHARACTERS = 64 << 10
-"""Limit for the characters of errors and warnings of a bag."""
-
-
 class BagTask(NamedTuple):
     """A bag to play.
 
@@ -549,6 +554,7 @@ class BagTask(NamedTuple):
         options: the options of the command that apply to a single bag.
         has_next_part: whether it is a part of a recording with a further part.
         state: snapshot of the program after the previous part; None without one.
+        manifest: manifest of the result; None for the printed output.
     """
 
     location: str
@@ -557,6 +563,7 @@ class BagTask(NamedTuple):
     options: Dict[str, Any]
     has_next_part: bool = False
     state: Optional[bytes] = None
+    manifest: Optional[ResultManifest] = None
 
 
 class BagOutcome(NamedTuple):
@@ -582,20 +589,41 @@ _PROCESS_LOCK = threading.Lock()
 
 
 def play_bag(task: BagTask, scratch: str) -> BagOutcome:
-    """Play a bag and write its result; all errors are part of the returned outcome.
+    """Play a bag and write its result and manifest; all errors are part of the returned outcome.
 
     Args:
         task: the bag.
         scratch: folder for temporary files.
     """
-    stderr, failure, bag, state = _LimitedOutput(), "", task.location, None
+    if task.manifest is None:
+        return _play_bag(task, scratch)[0]
+    outcome = BagOutcome(0, "")
+
+    def play_recorded() -> Tuple[Optional[Dict[str, Any]], List[str]]:
+        nonlocal outcome
+        outcome, files = _play_bag(task, scratch)
+        fields = outcome._replace(state=None, coverage=())._asdict()
+        return fields if outcome.failure is None else None, files
+
+    try:
+        record_result(task.manifest, scratch, play_recorded)
+    except RetalisError as error:
+        outcome = outcome._replace(failure=str(error))
+    return outcome
+
+
+def _play_bag(task: BagTask, scratch: str) -> Tuple[BagOutcome, List[str]]:
+    """Play a bag and write its result; return the outcome, and the event files that the program has loaded."""
+    stderr, failure, bag, state = LimitedText(), "", task.location, None
     coverage: Tuple[CoveredPart, ...] = ()
+    files: List[str] = []
     with _PROCESS_LOCK, redirect_stderr(stderr):
         reporter = StderrReporter().attach(show_events=True)
         try:
             with local_copy(task.location, scratch) as bag, result_file(task.target, scratch) as result:
                 played = _play_to_file(result, bag, task, reporter)
                 coverage = played.coverage
+                files = sorted(map(str, played.playback.engine.program.rules.files.loaded))
                 state = played.playback.engine.snapshot() if task.has_next_part else None
         except RetalisError as error:
             failure = str(error)
@@ -607,7 +635,7 @@ def play_bag(task: BagTask, scratch: str) -> BagOutcome:
             restore_gc()
     # Messages name the bag as the user gave it, not the temporary copy of a URL.
     messages, failure = (text.replace(bag, task.location) for text in (stderr.getvalue(), failure))
-    return BagOutcome(reporter.errors, messages, failure or None, state, coverage)
+    return BagOutcome(reporter.errors, messages, failure or None, state, coverage), files
 
 
 def _play_to_file(result: str, bag: str, task: BagTask, reporter: StderrReporter) -> PlayedRun:
@@ -629,112 +657,31 @@ def _play_to_file(result: str, bag: str, task: BagTask, reporter: StderrReporter
         return play(options, reporter, write_record, task.state, not task.has_next_part)
 
 
-class _LimitedOutput(io.StringIO):
-    """Standard error of a bag, cut after `_MAX_MESSAGE_CHARACTERS` characters."""
-
-    _dropped_characters = 0
-
-    def write(self, text: str) -> int:
-        # A bag with an error per message must not fill the memory of the process that collects the messages.
-        written = text[: max(0, _MAX_MESSAGE_CHARACTERS - self.tell())]
-        self._dropped_characters += len(text) - len(written)
-        super().write(written)
-        return len(text)
-
-    def getvalue(self) -> str:
-        truncation_note = (
-            f"\n... and {self._dropped_characters} more characters\n" if self._dropped_characters else ""
-        )
-        return super().getvalue() + truncation_note
-
-
-_MANY_BAGS_OPTIONS = (
-    "bags",
-    "output",
-    "overwrite",
-    "jobs",
-    "parts",
-    "format",
-    "scheduler",
-    "worker_timeout",
-    "any_version",
-)
-_PARSER_ENTRIES = ("command", "run", "root_parser")
-"""Entries of the parsed options that a `BagTask` does not need."""
-
-
-def add_many_bags_options(parser: argparse.ArgumentParser) -> None:
-    """Add the options for many bags."""
-    group = parser.add_argument_group(
-        "many bags",
-        "A bag that cannot be played is reported, and the others are played. A bag whose worker dies is played again "
-        "by another worker.",
-    )
-    add = group.add_argument
-    add(
-        "--jobs",
-        type=positive_integer,
-        metavar="N",
-        help="play N bags at a time, in processes of this machine",
-    )
-    add(
-        "--parts",
-        action="store_true",
-        help="play the parts of a recording by rosbag record --split, NAME_0.bag, NAME_1.bag and so on, as one run: "
-        "each continues with the memories, partial matches and waiting queries of the former one",
-    )
-    add(
-        "--format",
-        choices=FORMATS,
-        help="format of the results; --output is then the folder or URL for one file per bag: a bag of the published "
-        "messages, or the output of --json, as lines or as Parquet (bag; with --json: jsonl)",
-    )
-
-
-def single_bag_options(options: argparse.Namespace) -> Dict[str, Any]:
-    """Return the options that apply to a single bag."""
-    omitted = (*_MANY_BAGS_OPTIONS, *_PARSER_ENTRIES)
-    return {name: value for name, value in vars(options).items() if name not in omitted}
-
-
-def requests_separate_runs(options: argparse.Namespace) -> bool:
-    """Return whether the options request a separate run for each bag.
-
-    Raises:
-        UsageError: if they do not, but another option or a bag requires it.
-    """
-    if options.jobs or options.scheduler:
-        return True
-    for name in ("format", "parts"):
-        if getattr(options, name):
-            raise UsageError(f"--{name} needs --jobs or --scheduler")
-    for location in options.bags:
-        if is_url(location):
-            raise UsageError(f"{location}: --jobs plays bags of URLs, each by itself")
-        if is_folder_of_bags(location):
-            raise UsageError(
-                f"{location} is not a ROS 2 bag: it has no metadata.yaml: use --jobs to play all bags below a folder"
-            )
-    return False
-
-
 _TaskOutcome = Union[BagOutcome, Unfinished]
 
 
 def play_separately(options: argparse.Namespace) -> int:
     """Play each bag in a run of its own, and print or store the results in order; return the exit status."""
-    _check_options(options)
+    check_many_bags_options(options)
+    if options.resume and _records_coverage(options):
+        raise UsageError("--resume: whole results have no coverage: expected only one of both options")
     with ExitStack() as stack:
         scratch = stack.enter_context(TemporaryDirectory(prefix="retalis-"))
         bags = find_bags(options.bags)
         recordings = group_recordings(bags) if options.parts else [[bag] for bag in bags]
         tasks, ready = _create_tasks(options, recordings, scratch)
-        stack.callback(remove_incomplete_results, [task.target for task in tasks])
+        stack.callback(remove_incomplete_results, _list_written_files(tasks))
         reporter = _OutcomeReporter(tasks, to_print=options.output is None)
-        bar = stack.enter_context(show_long_progress("bags", lambda: reporter.finished_count / len(tasks)))
-        listener = make_listener(
-            bar, lambda number: tasks[number].location, "played", lambda: reporter.finished_count
+        skipped_count = _skip_whole_results(tasks, ready, reporter) if options.resume else 0
+
+        def count() -> int:
+            # Results that are skipped take no time, so that they would falsify the rate.
+            return reporter.finished_count - skipped_count
+
+        bar = stack.enter_context(
+            show_long_progress("bags", lambda: count() / (len(tasks) - skipped_count or 1))
         )
+        listener = make_listener(bar, lambda number: tasks[number].location, "played", count)
         outcomes = stack.enter_context(closing(_run_tasks(options, tasks, ready, scratch, listener)))
         try:
             for number, outcome in outcomes:
@@ -747,13 +694,30 @@ def play_separately(options: argparse.Namespace) -> int:
                 # The snapshot that the task started from is not needed any more, unless its worker had died.
                 tasks[number] = tasks[number]._replace(state=None)
                 reporter.add_outcome(number, outcome)
-                bar(reporter.finished_count)
+                bar(count())
         except ClusterError as error:
             listener.report(f"error: {error}")
             reporter.fail_unfinished()
         if _records_coverage(options):
             _report_coverage(options, reporter.coverage)
         return reporter.finish()
+
+
+def _list_written_files(tasks: List[BagTask]) -> List[str]:
+    manifests = [task.manifest.location for task in tasks if task.manifest is not None]
+    return [*(task.target for task in tasks), *manifests]
+
+
+def _skip_whole_results(tasks: List[BagTask], ready: Deque[int], reporter: "_OutcomeReporter") -> int:
+    """Report the outcomes of the results that are whole, and remove their tasks; return their number."""
+    manifests = [task.manifest for task in tasks if task.manifest is not None]
+    outcomes, line = find_whole_results(manifests, list(ready))
+    print(line, file=sys.stderr)
+    for number, fields in outcomes.items():
+        reporter.add_outcome(number, BagOutcome(**fields))
+        if number in ready:
+            ready.remove(number)
+    return len(outcomes)
 
 
 def _run_tasks(
@@ -763,64 +727,10 @@ def _run_tasks(
     scratch: str,
     listener: ClusterListener,
 ) -> Generator[Tuple[int, _TaskOutcome], None, None]:
-    if options.scheduler:
+    # A cluster is not needed if all results are whole.
+    if options.scheduler and ready:
         return run_on_cluster(play_bag, tasks, cluster_options(options), listener, ready)
-    return run_in_processes(play_bag, tasks, options.jobs, scratch, listener.on_worker_death, ready)
-
-
-def _check_options(options: argparse.Namespace) -> None:
-    """Reject incompatible options.
-
-    Raises:
-        UsageError: if there are any.
-    """
-    result_format = _select_format(options)
-    if options.jobs and options.scheduler:
-        raise UsageError(
-            "--jobs and --scheduler: give only one option: a cluster determines the number of its workers"
-        )
-    # The results of other machines have to be written to a folder or URL that both sides can read.
-    if options.scheduler and not options.output:
-        raise UsageError("--scheduler needs --output: a folder that the workers see, or a URL")
-    if options.format and not options.output:
-        raise UsageError("--format needs --output")
-    if options.write_folder:
-        raise UsageError(
-            "--write-folder: bags that are played at the same time would write over each other's files"
-        )
-    if result_format == "bag" and options.events:
-        raise UsageError("--events: a bag contains only published messages; use --format jsonl or parquet")
-    _check_printed_lines(options, result_format)
-    if options.output and not is_url(options.output):
-        target = Path(options.output).resolve()
-        for location in options.bags:
-            if is_folder_of_bags(location) and Path(location).resolve() in (target, *target.parents):
-                raise UsageError(
-                    f"--output {options.output} is below {location}: results would be played the next time"
-                )
-
-
-def _check_printed_lines(options: argparse.Namespace, result_format: Optional[str]) -> None:
-    """Reject options that print lines at the end, if the format of the results cannot contain them.
-
-    Raises:
-        UsageError: if there are any.
-    """
-    if result_format in ("bag", "parquet"):
-        for name, value, content in (
-            ("explain", options.explain, "explanations"),
-            ("open", options.prints_open, "open states and windows"),
-        ):
-            if value:
-                raise UsageError(
-                    f"--{name}: --format {result_format} cannot contain {content}: use --format jsonl"
-                )
-
-
-def _select_format(options: argparse.Namespace) -> Optional[str]:
-    if not options.output:
-        return None
-    return str(options.format or ("jsonl" if options.json else "bag"))
+    return run_in_processes(play_bag, tasks, options.jobs or 1, scratch, listener.on_worker_death, ready)
 
 
 def _create_tasks(
@@ -831,7 +741,7 @@ def _create_tasks(
     Raises:
         UsageError: if two results would have the same name, or a result exists already.
     """
-    result_format = _select_format(options)
+    result_format = select_format(options)
     # The processes of a cluster may have other working directories.
     absolute = os.path.abspath if options.scheduler else str
 
@@ -844,6 +754,9 @@ def _create_tasks(
     if options.answers is not None:
         bag_options["answers"] = Path(absolute(options.answers))
     bag_options["folder"] = [absolute(folder_name) for folder_name in options.folder]
+    inputs = None
+    if result_format is not None:
+        inputs = compute_inputs(bag_options, (result_format, options.parts), options.output)
     targets: Dict[str, str] = {}
     tasks: List[BagTask] = []
     ready: Deque[int] = deque()
@@ -856,16 +769,17 @@ def _create_tasks(
                 target = os.path.join(scratch, str(len(tasks)))
             else:
                 target = shared_path(f"{options.output.rstrip('/')}/{bag.name}.{result_format}")
-                _check_target(target, bag, targets, options.overwrite)
+                _check_target(target, bag, targets, options.overwrite or options.resume)
             targets[target] = bag.location
+            location, manifest = shared_path(bag.location), None
+            if inputs is not None:
+                # The first part of a recording can be deleted, so that the second one has another state.
+                position = {"position in the recording": str(bags.index(bag))}
+                place = shared_path(manifest_location(options.output, f"{bag.name}.{result_format}"))
+                manifest = ResultManifest(place, location, target, {**inputs, **position})
+            has_next_part = bag is not bags[-1]
             tasks.append(
-                BagTask(
-                    shared_path(bag.location),
-                    target,
-                    result_format,
-                    bag_options,
-                    has_next_part=bag is not bags[-1],
-                )
+                BagTask(location, target, result_format, bag_options, has_next_part, manifest=manifest)
             )
     return tasks, ready
 
@@ -877,7 +791,9 @@ def _check_target(target: str, bag: BagLocation, targets: Dict[str, str], overwr
             "give the folder that both are below, or different ones to --output"
         )
     if not overwrite and location_exists(target):
-        raise UsageError(f"{target} already exists; --overwrite replaces it")
+        raise UsageError(
+            f"{target} already exists; --overwrite replaces it, --resume keeps it if it is whole"
+        )
 
 
 class _OutcomeReporter:

@@ -1,5 +1,6 @@
 """Reporting on standard error: errors and warnings with a count, and a progress bar on terminals."""
 
+import io
 import logging
 import os
 import sys
@@ -89,6 +90,31 @@ def detach_reporters() -> None:
     _event_logger.setLevel(logging.NOTSET)
     _goal_logger.setLevel(logging.NOTSET)
     _package_logger.propagate = True
+
+
+MAX_BAG_TEXT_CHARACTERS = 64 << 10
+"""Limit for the characters of errors and warnings of a bag."""
+
+
+class LimitedText(io.StringIO):
+    """Standard error of a bag, cut after `MAX_BAG_TEXT_CHARACTERS` characters."""
+
+    _dropped_characters = 0
+
+    def write(self, text: str) -> int:
+        """Store a text up to the limit."""
+        # A bag with an error per message must not fill the memory of the process that collects the messages.
+        written = text[: max(0, MAX_BAG_TEXT_CHARACTERS - self.tell())]
+        self._dropped_characters += len(text) - len(written)
+        super().write(written)
+        return len(text)
+
+    def getvalue(self) -> str:
+        """Return the stored text, with the number of characters that were dropped."""
+        truncation_note = (
+            f"\n... and {self._dropped_characters} more characters\n" if self._dropped_characters else ""
+        )
+        return super().getvalue() + truncation_note
 
 
 UPDATE_INTERVAL_SECONDS = 0.1

@@ -176,7 +176,7 @@ def _reject_duplicates(paths: Sequence[PathLike]) -> None:
         raise BagError("no bag is given: expected at least one")
 
 
-_BAG_SUFFIXES = (".bag", ".bag.active", *SUFFIXES)
+BAG_SUFFIXES = (".bag", ".bag.active", *SUFFIXES)
 """Suffixes of the files of bags. A recorder of ROS 1 that was killed leaves a file ``.bag.active``."""
 
 
@@ -214,7 +214,7 @@ def find_bags(locations: Sequence[str]) -> List[BagLocation]:
         names = _select_bag_names(names_below)
         if not names:
             raise BagError(
-                f"{location} has no bags below it: no {METADATA}, nothing that ends in {', '.join(_BAG_SUFFIXES)}"
+                f"{location} has no bags below it: no {METADATA}, nothing that ends in {', '.join(BAG_SUFFIXES)}"
             )
         bags += [BagLocation(f"{location.rstrip('/')}/{name}", _strip_suffix(name)) for name in names]
     return bags
@@ -270,6 +270,78 @@ def location_exists(location: str) -> bool:
         return os.path.lexists(location)
     filesystem, path = _open_filesystem(location)
     return bool(_call_filesystem(location, filesystem.exists, path))
+
+
+def list_file_versions(location: str) -> List[List[str]]:
+    """Return name, size, and time of modification or ETag of each file of a bag or result; empty if there is none.
+
+    Raises:
+        BagError: if a URL cannot be accessed.
+    """
+    if is_url(location):
+        filesystem, path = _open_filesystem(location)
+        # Processes of a cluster live long, and a file system remembers what it has listed.
+        _call_filesystem(location, filesystem.invalidate_cache)
+        if not _call_filesystem(location, filesystem.exists, path):
+            return []
+        files = _call_filesystem(location, filesystem.find, path, detail=True)
+        return [
+            [name, str(info.get("size")), str([info[key] for key in _VERSION_KEYS if key in info])]
+            for name, info in sorted(files.items())
+        ]
+    local_path = Path(location)
+    # The newest messages of a database can be in its log.
+    names = (location, f"{location}-wal", f"{location}-journal")
+    paths = sorted(local_path.rglob("*")) if local_path.is_dir() else map(Path, names)
+    versions = []
+    for file in paths:
+        try:
+            status = file.stat()
+        except OSError:
+            continue
+        if file.is_file():
+            versions.append([file.name, str(status.st_size), str(status.st_mtime_ns)])
+    return versions
+
+
+_VERSION_KEYS = ("ETag", "etag", "md5Hash", "mtime", "LastModified", "last_modified", "created")
+"""Names that the file systems of fsspec use for what changes with a file."""
+
+
+def read_location(location: str) -> Optional[str]:
+    """Return the text of a file; None if it does not exist or cannot be read.
+
+    Raises:
+        BagError: if a URL cannot be accessed.
+    """
+    if not is_url(location):
+        try:
+            return Path(location).read_text(encoding="utf-8")
+        except (OSError, ValueError):
+            return None
+    filesystem, path = _open_filesystem(location)
+    if not _call_filesystem(location, filesystem.exists, path):
+        return None
+    return str(_call_filesystem(location, filesystem.cat_file, path), "utf-8", "replace")
+
+
+def remove_location(location: str) -> None:
+    """Remove a file if it exists.
+
+    Raises:
+        BagError: if it cannot be removed.
+    """
+    if is_url(location):
+        filesystem, path = _open_filesystem(location)
+        if _call_filesystem(location, filesystem.exists, path):
+            _call_filesystem(location, filesystem.rm_file, path)
+        return
+    try:
+        os.unlink(location)
+    except FileNotFoundError:
+        pass
+    except OSError as error:
+        raise BagError(f"{location} cannot be removed: {describe_error(error)}") from error
 
 
 @contextmanager
@@ -355,7 +427,7 @@ def remove_incomplete_results(targets: Iterable[str]) -> None:
 
 
 def _strip_suffix(name: str) -> str:
-    suffix = max((suffix for suffix in _BAG_SUFFIXES if name.endswith(suffix)), key=len, default="")
+    suffix = max((suffix for suffix in BAG_SUFFIXES if name.endswith(suffix)), key=len, default="")
     return name[: len(name) - len(suffix)]
 
 
@@ -384,7 +456,7 @@ def _select_bag_names(names: Iterable[str]) -> List[str]:
         names_by_folder.setdefault(path.parent, []).append(path.name)
     # The files in a ROS 2 bag are parts of it, not bags of their own.
     folders = {folder for folder, names in names_by_folder.items() if is_ros2_bag(folder.name, names)}
-    files = {path for path in paths if path.name.endswith(_BAG_SUFFIXES) and path.parent not in folders}
+    files = {path for path in paths if path.name.endswith(BAG_SUFFIXES) and path.parent not in folders}
     # The same recording, completed by another program.
     files -= {path.with_name(f"{path.name}.active") for path in files}
     return [path.as_posix() for path in sorted(folders | files, key=lambda path: path.parts)]

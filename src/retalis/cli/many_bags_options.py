@@ -1,0 +1,152 @@
+"""Options of ``retalis bag`` for many bags: separate runs, result files, and options that exclude each other."""
+
+import argparse
+from pathlib import Path
+from typing import Any, Dict, Optional
+
+from ..foundation.errors import UsageError
+from ..playback.bag_locations import is_folder_of_bags, is_url
+from .option_values import positive_integer
+
+FORMATS = ("bag", "parquet", "jsonl")
+"""Formats of the results of separate runs."""
+
+
+_MANY_BAGS_OPTIONS = (
+    "bags",
+    "output",
+    "overwrite",
+    "jobs",
+    "parts",
+    "format",
+    "scheduler",
+    "worker_timeout",
+    "any_version",
+    "resume",
+)
+_PARSER_ENTRIES = ("command", "run", "root_parser")
+"""Entries of the parsed options that a `BagTask` does not need."""
+
+
+def add_many_bags_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options for many bags."""
+    group = parser.add_argument_group(
+        "many bags",
+        "A bag that cannot be played is reported, and the others are played. A bag whose worker dies is played again "
+        "by another worker.",
+    )
+    add = group.add_argument
+    add(
+        "--jobs",
+        type=positive_integer,
+        metavar="N",
+        help="play N bags at a time, in processes of this machine",
+    )
+    add(
+        "--parts",
+        action="store_true",
+        help="play the parts of a recording by rosbag record --split, NAME_0.bag, NAME_1.bag and so on, as one run: "
+        "each continues with the memories, partial matches and waiting queries of the former one",
+    )
+    add(
+        "--resume", action="store_true", help="compute no result again that is whole, and has the same inputs"
+    )
+    add(
+        "--format",
+        choices=FORMATS,
+        help="format of the results; --output is then the folder or URL for one file per bag: a bag of the published "
+        "messages, or the output of --json, as lines or as Parquet (bag; with --json: jsonl)",
+    )
+
+
+def single_bag_options(options: argparse.Namespace) -> Dict[str, Any]:
+    """Return the options that apply to a single bag."""
+    omitted = (*_MANY_BAGS_OPTIONS, *_PARSER_ENTRIES)
+    return {name: value for name, value in vars(options).items() if name not in omitted}
+
+
+def requests_separate_runs(options: argparse.Namespace) -> bool:
+    """Return whether the options request a separate run for each bag.
+
+    Raises:
+        UsageError: if they do not, but another option or a bag requires it.
+    """
+    if options.jobs or options.scheduler:
+        return True
+    for name in ("format", "parts", "resume"):
+        if getattr(options, name):
+            raise UsageError(f"--{name} needs --jobs or --scheduler")
+    for location in options.bags:
+        if is_url(location):
+            raise UsageError(f"{location}: --jobs plays bags of URLs, each by itself")
+        if is_folder_of_bags(location):
+            raise UsageError(
+                f"{location} is not a ROS 2 bag: it has no metadata.yaml: use --jobs to play all bags below a folder"
+            )
+    return False
+
+
+def check_many_bags_options(options: argparse.Namespace) -> None:
+    """Reject incompatible options.
+
+    Raises:
+        UsageError: if there are any.
+    """
+    result_format = select_format(options)
+    if options.jobs and options.scheduler:
+        raise UsageError(
+            "--jobs and --scheduler: give only one option: a cluster determines the number of its workers"
+        )
+    # The results of other machines have to be written to a folder or URL that both sides can read.
+    if options.scheduler and not options.output:
+        raise UsageError("--scheduler needs --output: a folder that the workers see, or a URL")
+    if options.write_folder:
+        raise UsageError(
+            "--write-folder: bags that are played at the same time would write over each other's files"
+        )
+    if result_format == "bag" and options.events:
+        raise UsageError("--events: a bag contains only published messages; use --format jsonl or parquet")
+    _check_printed_lines(options, result_format)
+    _check_output(options)
+
+
+def _check_output(options: argparse.Namespace) -> None:
+    """Reject options that need an output folder, and a folder whose results would be played.
+
+    Raises:
+        UsageError: if there are any.
+    """
+    for name in ("format", "resume"):
+        if getattr(options, name) and not options.output:
+            raise UsageError(f"--{name} needs --output")
+    if options.output and not is_url(options.output):
+        target = Path(options.output).resolve()
+        for location in options.bags:
+            if is_folder_of_bags(location) and Path(location).resolve() in (target, *target.parents):
+                raise UsageError(
+                    f"--output {options.output} is below {location}: results would be played the next time"
+                )
+
+
+def _check_printed_lines(options: argparse.Namespace, result_format: Optional[str]) -> None:
+    """Reject options that print lines at the end, if the format of the results cannot contain them.
+
+    Raises:
+        UsageError: if there are any.
+    """
+    if result_format in ("bag", "parquet"):
+        for name, value, content in (
+            ("explain", options.explain, "explanations"),
+            ("open", options.prints_open, "open states and windows"),
+        ):
+            if value:
+                raise UsageError(
+                    f"--{name}: --format {result_format} cannot contain {content}: use --format jsonl"
+                )
+
+
+def select_format(options: argparse.Namespace) -> Optional[str]:
+    """Return the format of the results; None if they are printed."""
+    if not options.output:
+        return None
+    return str(options.format or ("jsonl" if options.json else "bag"))

@@ -1,0 +1,212 @@
+"""Manifests of results, for option ``--resume``: what each result was computed from.
+
+The manifest of ``OUTPUT/r1/day.jsonl`` is ``OUTPUT/.manifest/r1/day.jsonl.json``. The process that has computed the
+result writes it, so that a run whose client has ended can be resumed. A result is whole if its size is that in the
+manifest, and the version of retalis, the program, the options and the bag are those of the manifest.
+"""
+
+import json
+import os
+from collections import Counter
+from hashlib import sha256
+from pathlib import Path
+from typing import (
+    Any,
+    Callable,
+    Dict,
+    Iterable,
+    Iterator,
+    List,
+    Mapping,
+    NamedTuple,
+    Optional,
+    Sequence,
+    Tuple,
+    Union,
+)
+
+from ..foundation.errors import RetalisError
+from ..playback.bag_locations import (
+    BAG_SUFFIXES,
+    list_file_versions,
+    read_location,
+    remove_location,
+    result_file,
+)
+from .command_line import version
+
+_FOLDER = ".manifest"
+"""Folder of the manifests in that of the results."""
+
+_MAX_DIGEST_BYTES = 1 << 20
+"""Size up to which a file of a program counts by its contents; a larger one by its size and time of modification."""
+
+_PROGRAM_OPTIONS = ("program", "msg", "answers")
+"""Options whose values are paths of files that are read: the contents count, not the paths."""
+
+
+class ResultManifest(NamedTuple):
+    """Manifest of the result of a bag.
+
+    Attributes:
+        location: path or URL of the manifest.
+        bag: path or URL of the bag.
+        target: path or URL of the result.
+        inputs: what the result depends on besides the bag, by name.
+    """
+
+    location: str
+    bag: str
+    target: str
+    inputs: Dict[str, str]
+
+
+def manifest_location(output: str, result_name: str) -> str:
+    """Return the location of the manifest of a result in an output folder."""
+    return f"{output.rstrip('/')}/{_FOLDER}/{result_name}.json"
+
+
+def compute_inputs(options: Mapping[str, Any], others: Sequence[object], output: str) -> Dict[str, str]:
+    """Return what all results of a run depend on besides their bags.
+
+    Args:
+        options: options of a single bag.
+        others: further options.
+        output: folder of the results, which can be in the folder of the program.
+    """
+    folders = [options["program"], *options["msg"], *filter(None, [options["answers"]])]
+    digest = sha256()
+    for folder in folders:
+        for text in _describe_files(Path(folder), os.path.realpath(output)):
+            digest.update(f"{text}\n".encode("utf-8", "surrogateescape"))
+    values = {name: value for name, value in options.items() if name not in _PROGRAM_OPTIONS}
+    option_text = json.dumps([values, others], sort_keys=True, default=repr)
+    return {
+        "retalis": version(),
+        "program": digest.hexdigest(),
+        "options": sha256(option_text.encode("utf-8", "surrogateescape")).hexdigest(),
+    }
+
+
+def _describe_files(path: Path, output: str) -> Iterator[str]:
+    """Yield a line for each file below a folder, or for a file, without bags, hidden files and results."""
+    if not path.is_dir():
+        yield f"{path.name} {_digest(path)}"
+        return
+    for folder, folder_names, names in os.walk(path):
+        folder_names[:] = sorted(
+            name
+            for name in folder_names
+            if not name.startswith((".", "__pycache__"))
+            and os.path.realpath(os.path.join(folder, name)) != output
+        )
+        for name in sorted(names):
+            if not name.startswith(".") and not name.endswith(BAG_SUFFIXES):
+                file = Path(folder, name)
+                yield f"{file.relative_to(path)} {_digest(file)}"
+
+
+def _digest(path: Path) -> str:
+    """Return a text that changes with a file."""
+    try:
+        status = path.stat()
+        if status.st_size > _MAX_DIGEST_BYTES or not path.is_file():
+            return f"{status.st_size} {status.st_mtime_ns}"
+        return sha256(path.read_bytes()).hexdigest()
+    except OSError:
+        return "unreadable"
+
+
+def record_result(
+    manifest: ResultManifest,
+    scratch: str,
+    compute: Callable[[], Tuple[Optional[Mapping[str, Any]], Iterable[str]]],
+) -> None:
+    """Compute a result, and write its manifest if there is a result.
+
+    Args:
+        manifest: the manifest to write.
+        scratch: folder for temporary files.
+        compute: writes the result; returns its outcome, which JSON can represent, or None if there is no result, and
+            the files that the program has loaded.
+
+    Raises:
+        RetalisError: if the manifest cannot be written.
+    """
+    # Otherwise the manifest of an earlier result would describe the new one if the process is killed in between.
+    remove_location(manifest.location)
+    # Before the bag is read: a bag that changes meanwhile differs from the manifest.
+    bag_files = list_file_versions(manifest.bag)
+    outcome, loaded_files = compute()
+    if outcome is None:
+        return
+    content = {
+        "inputs": manifest.inputs,
+        "files": {path: _digest(Path(path)) for path in loaded_files},
+        "bag": bag_files,
+        "size": _result_size(manifest.target),
+        "outcome": outcome,
+    }
+    with result_file(manifest.location, scratch) as path:
+        Path(path).write_text(json.dumps(content), encoding="utf-8")
+
+
+def _result_size(target: str) -> List[str]:
+    return [size for _, size, _ in list_file_versions(target)]
+
+
+_NO_RESULT = "no result"
+
+
+def find_whole_results(
+    manifests: Sequence[ResultManifest], starts: Sequence[int]
+) -> Tuple[Dict[int, Mapping[str, Any]], str]:
+    """Return the outcomes of the results that need not be computed again, by index, and a line that counts them.
+
+    Args:
+        manifests: the results.
+        starts: indexes of the first part of each recording; the results of a recording are whole together, because
+            each part depends on the former one.
+    """
+    outcomes: Dict[int, Mapping[str, Any]] = {}
+    reasons: Dict[str, int] = Counter()
+    for start, end in zip(starts, [*starts[1:], len(manifests)]):
+        parts = {number: _read_outcome(manifests[number]) for number in range(start, end)}
+        failures = [outcome for outcome in parts.values() if isinstance(outcome, str)]
+        for number, outcome in parts.items():
+            if isinstance(outcome, str):
+                reasons[outcome] += 1
+            elif failures:
+                reasons["another part that is computed"] += 1
+            else:
+                outcomes[number] = outcome
+    line = f"resume: {len(outcomes)} of {len(manifests)} results are whole"
+    if reasons:
+        counts = ", ".join(f"{count} with {reason}" for reason, count in sorted(reasons.items()))
+        line += f"; the others are computed: {counts}"
+    return outcomes, line
+
+
+def _read_outcome(manifest: ResultManifest) -> Union[Mapping[str, Any], str]:
+    """Return the outcome of a whole result, or the reason why it has to be computed."""
+    try:
+        size = _result_size(manifest.target)
+        if not size:
+            return _NO_RESULT
+        text = read_location(manifest.location)
+        content = None if text is None else json.loads(text)
+        if not isinstance(content, dict):
+            return "a result without manifest"
+        for name, value in manifest.inputs.items():
+            if content["inputs"].get(name) != value:
+                return f"other {name}"
+        if any(_digest(Path(path)) != digest for path, digest in content["files"].items()):
+            return "other program"
+        if content["bag"] != list_file_versions(manifest.bag):
+            return "other bag"
+        if content["size"] != size:
+            return "a changed result"
+        outcome: Mapping[str, Any] = dict(content["outcome"])
+    except (RetalisError, ValueError, KeyError, TypeError, AttributeError):
+        return "an unreadable manifest"
+    return outcome
