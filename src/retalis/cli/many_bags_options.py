@@ -32,24 +32,25 @@ def add_many_bags_options(parser: argparse.ArgumentParser) -> None:
     """Add the options for many bags."""
     group = parser.add_argument_group(
         "many bags",
-        "A bag that cannot be played is reported, and the others are played. A bag whose worker dies is played again "
-        "by another worker.",
+        "A bag that cannot be played is reported; the others are played. A bag whose worker dies is played again.",
     )
     add = group.add_argument
     add(
         "--jobs",
         type=positive_integer,
         metavar="N",
-        help="play N bags at a time, in processes of this machine",
+        help="play N bags at a time, in local processes",
     )
     add(
         "--parts",
         action="store_true",
         help="play the parts of a recording by rosbag record --split, NAME_0.bag, NAME_1.bag and so on, as one run: "
-        "each continues with the memories, partial matches and waiting queries of the former one",
+        "each continues with the state of the former one",
     )
     add(
-        "--resume", action="store_true", help="compute no result again that is whole, and has the same inputs"
+        "--resume",
+        action="store_true",
+        help="keep results that are whole, of the same program, options and bag",
     )
     add(
         "--format",
