@@ -1,7 +1,7 @@
 """Row patterns, compared with the exhaustive search of the oracle."""
 
 from random import Random
-from typing import Any, List, Tuple
+from typing import Any, List, Tuple, cast
 
 import pytest
 from hypothesis import given
@@ -14,6 +14,7 @@ from oracle.strategies import Generator
 from recording_reports import RecordingReports
 
 from retalis import Engine, Var, atom, functor, make_list
+from retalis.events.streams.row_pattern import CompletedMatch, PartitionState
 from retalis.prolog.terms.timestamps import SECOND
 
 KEY, VALUE, RESULT, STARTS = Var(), Var(), Var(), Var()
@@ -180,6 +181,31 @@ def pattern_operator(engine: Any) -> Any:
     """Return the operator of the only rule of an engine."""
     (rule,) = engine.rules.rules
     return next(node.stream for node in rule.nodes if hasattr(node, "stream"))
+
+
+class CountedOrder(int):
+    """Order of an element that counts its comparisons."""
+
+    comparison_count = 0
+
+    def __lt__(self, other: int) -> bool:
+        CountedOrder.comparison_count += 1
+        return int(self) < int(other)
+
+    def __ge__(self, other: int) -> bool:
+        return not self < other
+
+
+def test_time_to_replace_waiting_matches_is_linear(monkeypatch: pytest.MonkeyPatch) -> None:
+    """If matches may overlap, one element may replace those of all starts."""
+    partition = PartitionState([])
+    orders = [CountedOrder(order) for order in range(200)]
+    matches: List[Any] = [CompletedMatch(cast(Any, None), order) for order in orders]
+    partition.replace_completed(orders, matches, drops_later=False)
+    monkeypatch.setattr(CountedOrder, "comparison_count", 0)
+    partition.replace_completed(orders[50:], matches[50:], drops_later=False)
+    assert list(partition.completed) == matches
+    assert CountedOrder.comparison_count < 400
 
 
 def test_memory_for_element_is_independent_of_matches() -> None:

@@ -21,7 +21,7 @@ partition; a partition without elements for that time is dropped as a whole.
 """
 
 from collections import OrderedDict, deque
-from operator import itemgetter
+from operator import attrgetter, itemgetter
 from typing import Callable, Container, Deque, Dict, Hashable, List, NamedTuple, Optional, Sequence, Tuple
 
 from ...foundation.errors import RuleError
@@ -259,24 +259,27 @@ class PartitionState:
         state = self.states[0]
         return None if state.matched is None else state.start_order
 
-    def add_completed(self, completed: CompletedMatch) -> None:
-        """Add a waiting match in the order of starts."""
-        matches = self.completed
-        position = len(matches)
-        while position and matches[position - 1].start_order > completed.start_order:
-            position -= 1
-        matches.insert(position, completed)
+    def replace_completed(
+        self, settled_starts: Sequence[int], matches: Sequence[CompletedMatch], drops_later: bool
+    ) -> None:
+        """Drop the waiting matches of some starts, and add matches of the same starts.
 
-    def drop_completed(self, start_order: int, drops_later: bool) -> None:
-        """Drop the waiting match with a start and, if ``drops_later``, those with later starts."""
-        matches = self.completed
-        position = len(matches)
-        while position and matches[position - 1].start_order >= start_order:
-            position -= 1
-            if drops_later:
-                matches.pop()
-        if position < len(matches) and matches[position].start_order == start_order:
-            del matches[position]
+        Args:
+            settled_starts: the starts; at most one if ``drops_later``.
+            matches: the matches to add, at most one for each start.
+            drops_later: whether the waiting matches of later starts are dropped, too.
+        """
+        if not settled_starts:
+            return
+        if drops_later:
+            while self.completed and self.completed[-1].start_order >= settled_starts[0]:
+                self.completed.pop()
+            self.completed.extend(matches)
+            return
+        # One pass for all starts, because each element may replace the matches of many starts.
+        settled = set(settled_starts)
+        remaining = [match for match in self.completed if match.start_order not in settled]
+        self.completed = deque(sorted([*remaining, *matches], key=attrgetter("start_order")))
 
     def drop_before(self, order: int) -> None:
         """Drop the states and waiting matches that began before the element with an order."""
@@ -422,6 +425,8 @@ class RowPatternWindow(StreamOperator):
             self._element_count += 1
             partition.elements.append(element)
         decided_matches = self._replace_states(partition, successors)
+        if element.key in self.states:
+            self.states.move_to_end(element.key)
         self._store_partition(partition, element.key)
         return self._outputs(decided_matches)
 
@@ -452,10 +457,9 @@ class RowPatternWindow(StreamOperator):
 
     def _replace_states(self, partition: PartitionState, successors: _Successors) -> List[CompletedMatch]:
         """Replace the computation states of a partition, and return the matches that are now decided."""
-        for start_order in successors.settled_starts:
-            partition.drop_completed(start_order, not self._overlaps)
-        for completed in successors.completed:
-            partition.add_completed(completed)
+        partition.replace_completed(
+            successors.settled_starts, successors.completed, drops_later=not self._overlaps
+        )
         partition.states = successors.states
         return self._pop_decided(partition)
 
@@ -467,8 +471,9 @@ class RowPatternWindow(StreamOperator):
             # No match depends on one of another start.
             open_starts = {state.start_order for state in partition.states if state.matched is not None}
             decided = [match for match in partition.completed if match.start_order not in open_starts]
-            for match in decided:
-                partition.drop_completed(match.start_order, False)
+            partition.completed = deque(
+                [match for match in partition.completed if match.start_order in open_starts]
+            )
             return decided
         decided = []
         while partition.completed:
@@ -524,12 +529,10 @@ class RowPatternWindow(StreamOperator):
         self._state_count += state_count - partition.counted_state_count
         partition.counted_state_count = state_count
         if oldest_order is not None:
-            if key in self.states:
-                self.states.move_to_end(key)
-            else:
-                self.states[key] = partition
-                if len(self.states) > self._max_keys:
-                    self._evict_keys()
+            # The place of a known key does not change: only an element is a use of its key.
+            self.states[key] = partition
+            if len(self.states) > self._max_keys:
+                self._evict_keys()
             # Elements are dropped in order of arrival; those between used ones stay until the oldest use ends.
             while partition.elements[0].order < oldest_order:
                 partition.elements.popleft()
