@@ -116,6 +116,18 @@ def test_partial_matches_are_limited() -> None:
     assert "has more than 50 partial matches" in str(program.warnings[0])
 
 
+def test_dropped_start_is_no_use_of_its_key() -> None:
+    """Key a has no new element for 8 s, so its old state is dropped, and the new one is kept."""
+    rule = (
+        "l([property(window, 8)]) : s(K, L) <- aggregate(list(X), e(K, X), L, "
+        "steps([a where X > 0, later(b) where X > 1], [after_match(skip_to_next)]))."
+    )
+    program = ProgramRunner(rule)
+    program.engine.rules.network.limit_stored(2)
+    program.feed("e(a,1)@1 e(a,1)@2 e(b,1)@3")
+    assert program.feed("e(a,1)@10.5 e(a,2)@11") == "s(a,[1,2])@10.5-11"
+
+
 @pytest.mark.parametrize("window", ["{}", "timed_out({}, 900)"])
 def test_overlapping_matches_are_limited(window: str) -> None:
     steps = "steps([a(1, many) where X < 900, b where X > 900], [after_match(skip_to_next)])"
@@ -430,6 +442,13 @@ def test_each_start_times_out_with_overlaps() -> None:
     rule = TIMEOUTS.format("a where X < 5, later(b where X > 5)", ", [after_match(skip_to_next)]")
     assert timeouts_of(timeout_runner(rule), "e(1)@1 e(2)@4 e(8)@7 x@20") == "s([1],[a])@1-6"
     assert timeouts_of(timeout_runner(rule), "e(1)@1 e(2)@4 x@20") == "s([1],[a])@1-6 s([2],[a])@4-9"
+
+
+def test_timeouts_at_one_instant_are_in_order_of_starts() -> None:
+    """The deadline of a failed match of key k precedes that of key m."""
+    rule = "s(K, N) <- aggregate(list(X), e(K, X), N, timed_out(steps([a where X < 5, b where X > 5]), 5))."
+    stream = "e(k,1)@1 e(m,2)@1 e(k,3)@1 x@20"
+    assert timeouts_of(timeout_runner(rule), stream) == "s(m,[2])@1-6 s(k,[3])@1-6"
 
 
 def test_timeouts_of_keys_are_separate() -> None:

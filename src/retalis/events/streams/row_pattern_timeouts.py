@@ -6,6 +6,7 @@ are those of its most preferred state.
 """
 
 import heapq
+from operator import attrgetter
 from typing import Callable, Dict, Hashable, List, Optional, Sequence, Tuple
 
 from ...serialization.field_types import State
@@ -58,22 +59,23 @@ class RowPatternTimeouts(RowPatternWindow):
 
     def advance_to(self, instant: int) -> List[StreamOutput]:
         """See `StreamOperator.advance_to`."""
-        outputs: List[StreamOutput] = []
+        due_states: List[ComputationState] = []
         while self._deadlines and self._deadlines[0][0] <= instant:
             _, _, key = heapq.heappop(self._deadlines)
             partition = self.states.get(key)
             if partition is None:
                 continue
-            outputs += self._timeout_outputs(
-                [state for state in self._waiting_states(partition) if self._is_due(state, instant)]
-            )
+            due_states += [state for state in self._waiting_states(partition) if self._is_due(state, instant)]
             partition.states = self._with_scanning(
                 [state for state in partition.states if not self._is_due(state, instant)]
             )
             self._pop_decided(partition)
             self._store_partition(partition, key)
         self._update_deadline()
-        return sorted(outputs, key=_get_end)
+        # The deadline of a match that has failed leads to the other matches of its key. A restored operator has no
+        # such deadlines, so their order must not decide that of the outputs.
+        due_states.sort(key=attrgetter("start_time", "start_order"))
+        return sorted(self._timeout_outputs(due_states), key=_get_end)
 
     def restore(self, saved: State) -> None:
         """See `StateOwner.restore`."""
