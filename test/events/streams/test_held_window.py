@@ -7,7 +7,7 @@ from asserting_accessors import place_of
 from events.streams.operator_driver import Arrival, element_of
 from recording_reports import RecordingReports
 
-from retalis import Engine, ProgramErrors
+from retalis import Engine, ProgramErrors, StreamClock
 from retalis.events.streams import held_window
 from retalis.events.streams.held_window import HELD_AGGREGATES, HeldHoppingWindow, HeldSlidingWindow
 from retalis.events.streams.stream_operators import KeyBounds
@@ -165,6 +165,45 @@ def test_dropped_value_is_not_measured() -> None:
     assert [output.results for output in window.advance_to(20)] == [(4,)]
     window.drop_oldest()
     assert (len(window), window.keys) == (0, 0)
+
+
+def create_averages() -> List[Any]:
+    return [HELD_AGGREGATES["avg"].measure(0, "avg", None)]
+
+
+def test_later_value_is_not_measured_after_clock_returns() -> None:
+    window = HeldHoppingWindow(create_averages, 5, 5, None)
+    window.limit_time(lambda: 13)
+    process(window, "a", 1, 4)
+    process(window, "a", 9, 8)
+    window.advance_to(100)
+    window.return_to(3)
+    outputs = [(output.start, output.end, output.results) for output in window.advance_to(15)]
+    assert outputs == [(5, 10, (8,)), (10, 15, (8,))]
+
+
+def test_sliding_window_ends_at_newest_value_after_clock_returns() -> None:
+    window = HeldSlidingWindow(create_averages, 20, None)
+    window.limit_time(lambda: 13)
+    process(window, "a", 1, 4)
+    process(window, "a", 9, 8)
+    window.return_to(3)
+    ((_, start, end, results, _),) = process(window, "a", 4, 2)
+    assert (start, end, results) == (1, 9, (2.75,))
+
+
+def test_state_without_element_of_next_window_is_restored() -> None:
+    engine = Engine(StreamClock(0))
+    engine.load(rules=rule("avg(X)", "held(every(10))"))
+    engine.rules.network.limit_stored(1)
+    engine.event("q(a,1)", 1)
+    engine.event("q(a,2)", 25)
+    restored = Engine.restore(engine.snapshot())
+    outputs: List[str] = []
+    restored.on_event(lambda term, start, end: outputs.append(f"{restored.show(term)}@{end / SECOND:g}"))
+    restored.clock.move_to(30 * SECOND)
+    restored.advance()
+    assert outputs == ["o(a,2)@30"]
 
 
 def test_retraction_restores_value_before() -> None:

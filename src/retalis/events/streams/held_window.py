@@ -335,10 +335,14 @@ class HeldWindow(Window):
     def return_to(self, instant: int) -> None:
         """See `StreamOperator.return_to`."""
         super().return_to(instant)
+        self._keep_elements_before(self.max_timestamp + 1)
+
+    def _keep_elements_before(self, instant: int) -> None:
+        """Keep only the values that begin before an instant."""
         self.keyed_windows = [
             StoredWindow(stored.reference_time, elements)
             for stored in self.keyed_windows
-            for elements in [[element for element in stored.elements if element.end <= self.max_timestamp]]
+            for elements in [[element for element in stored.elements if element.end < instant]]
             if elements
         ]
 
@@ -400,6 +404,9 @@ class HeldSlidingWindow(HeldWindow):
     def return_to(self, instant: int) -> None:
         """See `StreamOperator.return_to`."""
         super().return_to(instant)
+        # The window ends at the newest end of the values that remain: none begins after it.
+        ends = [signal.elements[-1].end for signal in self.states.values()]
+        self.clock = max([self.clock, *ends])
         self._limit_reference_times()
 
 
@@ -444,16 +451,15 @@ class HeldHoppingWindow(HeldWindow):
         heapq.heapify(self._future_elements)
 
     def can_end_next(self, state: State) -> bool:
-        """Return whether the end of the next window in a state is a multiple of the step and follows its elements."""
-        next_end, future_elements = state["next_deadline"], state["future_elements"]
-        held_elements = [element for stored in state["keyed_windows"] for element in stored.elements]
+        """Return whether the end of the next window in a state is a multiple of the step and follows its values.
+
+        It may precede all future elements, if the element that it was set for has been dropped.
+        """
+        next_end = state["next_deadline"]
         if next_end is None:
             return not elements_of_windows(state)
-        if next_end % self.slide:
-            return False
-        if held_elements:
-            return all(element.end < next_end for element in held_elements)
-        return not future_elements or min(element.end for element in future_elements) < next_end
+        held_elements = [element for stored in state["keyed_windows"] for element in stored.elements]
+        return not next_end % self.slide and all(element.end < next_end for element in held_elements)
 
     def process(self, element: StreamElement, now: int, channel: int) -> List[StreamOutput]:
         """See `StreamOperator.process`."""
@@ -491,9 +497,16 @@ class HeldHoppingWindow(HeldWindow):
             element for element in self.future_elements if element.end <= self.max_timestamp
         ]
         if self.next_deadline is not None:
-            next_end = (instant // self.slide + 1) * self.slide
-            is_empty = not self.states and not self._future_elements
-            self.next_deadline = None if is_empty else min(self.next_deadline, next_end)
+            next_end = min(self.next_deadline, (instant // self.slide + 1) * self.slide)
+            # A value that begins after the window that ends next is not measured in it.
+            self.future_elements += [
+                element
+                for stored in self.keyed_windows
+                for element in stored.elements
+                if element.end >= next_end
+            ]
+            self._keep_elements_before(next_end)
+            self.next_deadline = next_end if self.states or self._future_elements else None
 
     def advance_to(self, instant: int) -> List[StreamOutput]:
         """See `StreamOperator.advance_to`."""
