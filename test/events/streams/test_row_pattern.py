@@ -200,7 +200,7 @@ def test_time_to_replace_waiting_matches_is_linear(monkeypatch: pytest.MonkeyPat
     """If matches may overlap, one element may replace those of all starts."""
     partition = PartitionState([])
     orders = [CountedOrder(order) for order in range(200)]
-    matches: List[Any] = [CompletedMatch(cast(Any, None), order) for order in orders]
+    matches: List[Any] = [CompletedMatch(cast("Any", None), order) for order in orders]
     partition.replace_completed(orders, matches, drops_later=False)
     monkeypatch.setattr(CountedOrder, "comparison_count", 0)
     partition.replace_completed(orders[50:], matches[50:], drops_later=False)
