@@ -198,10 +198,11 @@ def test_state_without_element_of_next_window_is_restored() -> None:
     engine.rules.network.limit_stored(1)
     engine.event("q(a,1)", 1)
     engine.event("q(a,2)", 25)
-    restored = Engine.restore(engine.snapshot())
+    clock = StreamClock()
+    restored = Engine.restore(engine.snapshot(), clock=clock)
     outputs: List[str] = []
     restored.on_event(lambda term, start, end: outputs.append(f"{restored.show(term)}@{end / SECOND:g}"))
-    restored.clock.move_to(30 * SECOND)
+    clock.move_to(30 * SECOND)
     restored.advance()
     assert outputs == ["o(a,2)@30"]
 

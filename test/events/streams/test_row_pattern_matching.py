@@ -3,6 +3,7 @@
 from typing import Any, List
 
 import pytest
+from asserting_accessors import place_of
 from events.program_runner import ProgramRunner, format_events, outputs_of
 
 from retalis import ProgramErrors, StreamClock
@@ -383,6 +384,34 @@ def test_groups_of_steps_match_stream(steps: str, expected: str) -> None:
 def test_invalid_group_is_refused(steps: str, message: str) -> None:
     with pytest.raises(ProgramErrors, match=message):
         ProgramRunner(STARS.format(steps))
+
+
+@pytest.mark.parametrize(
+    ("steps", "part", "message"),
+    [
+        ("a, b where X > prev(Y)", "prev(Y)", "prev needs a variable that the pattern binds"),
+        ("a, b where X > prev(X + 1)", "prev(X + 1)", "prev needs a variable that the pattern binds"),
+        ("a, b where X > 2 + avg(a, X * 2)", "avg(a", "avg needs a variable that the pattern binds"),
+        ("a, b where X > first(top, X)", "top", "unknown step; the steps are a, b"),
+        ("start, b where X > first(strat, X)", "strat", "the steps are start, b; did you mean start?"),
+        ("a, group([b, c], 2, 1)", "group", "a group is group(Steps), group(Steps, N)"),
+        ("a, group(b, 2)", "group", "a group is group(Steps), group(Steps, N)"),
+        ("a, (b or c) where X > 1", "where", "where and later belong to a step, not to a group"),
+        ("a, later([b, c])", "later", "where and later belong to a step, not to a group"),
+    ],
+)
+def test_invalid_step_is_reported_at_its_place(steps: str, part: str, message: str) -> None:
+    text = STARS.format(steps)
+    with pytest.raises(ProgramErrors) as raised:
+        ProgramRunner(text)
+    (error,) = raised.value.errors
+    assert message in str(error)
+    assert place_of(error).column == text.index(part) + 1
+
+
+def test_predicate_may_have_name_of_navigation() -> None:
+    program = ProgramRunner(STARS.format("a, b where last([X, 3], 3)"))
+    assert program.feed("e(1)@1 e(2)@2") == "s([1,2])@1-2"
 
 
 def test_deeply_nested_groups_are_refused() -> None:

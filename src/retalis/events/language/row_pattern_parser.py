@@ -113,8 +113,10 @@ SKIP_STRATEGIES = {
 }
 """The strategies of ``after_match`` of row patterns (AFTER MATCH SKIP)."""
 _GROUP_NOTATION = (
-    "group(Steps), or the same with N, N, M or N, many behind Steps, and reluctant behind the numbers"
+    "group(Steps), group(Steps, N), group(Steps, N, M), group(Steps, N, many), "
+    "with reluctant behind the numbers"
 )
+_COMPARISONS = tuple(functor(name, 2) for name in ("<", ">", "=<", ">=", "=:=", "=\\=", "is"))
 
 
 class RowNavigation(NamedTuple):
@@ -126,12 +128,14 @@ class RowNavigation(NamedTuple):
             if there is no such step or distance.
         var: variable of the pattern; None for ``count``.
         placeholder: variable that replaces the navigation in the condition.
+        term: its term.
     """
 
     kind: str
     step: int
     var: Optional[Var]
     placeholder: Var
+    term: CompoundTerm
 
     @property
     def is_aggregate(self) -> bool:
@@ -198,7 +202,7 @@ def parse_row_pattern(
                 known_vars = (None, ROW_START, ROW_END, *pattern_variables)
                 has_variable = navigation.var in known_vars
                 if not (has_variable and navigation.is_valid):
-                    raise _navigation_error(reader, navigation, names, row_pattern_term)
+                    raise _navigation_error(reader, navigation, names)
             mentioned = [
                 *variables(goal),
                 *(navigation.var for part in parts for navigation in part.navigations),
@@ -271,8 +275,7 @@ def _parse_quantified_group(
     if len(term) == 2:
         return group
     # The counts are those of a step.
-    counts = (functor(_GROUP, len(term) - 2), *term[2:])
-    counted = _parse_quantified_step(reader, counts, False, None, f"a group is {_GROUP_NOTATION}")
+    counted = _parse_quantified_step(reader, term, False, None, first_count=2)
     if counted.until is not None:
         raise reader.create_error("until belongs to a step, not to a group", term)
     if counted.max_count is None and may_be_empty(group, steps):
@@ -362,6 +365,16 @@ def _parse_skip(
     return RowPatternSkip(strategy[0].name, number)
 
 
+def _is_group(term: Any) -> bool:
+    """Return whether a term denotes a group of steps."""
+    if list_items(term) is not None:
+        return True
+    if term.__class__ is not tuple:
+        return False
+    is_group = term[0].name == _GROUP and list_items(term[1]) is not None
+    return is_group or term[0] is _PERMUTE or OPERATOR_NAMES.get(term[0]) == "or"
+
+
 def _parse_step(reader: "PatternReader", term: Any, row_pattern_term: CompoundTerm) -> RowPatternStep:
     """Return the step that a term denotes."""
     unwrapped, skips_rows = term, False
@@ -374,6 +387,8 @@ def _parse_step(reader: "PatternReader", term: Any, row_pattern_term: CompoundTe
         else:
             break
         unwrapped = deref(unwrapped[1])
+    if unwrapped is not term and _is_group(unwrapped):
+        raise reader.create_error("where and later belong to a step, not to a group", term)
     if unwrapped.__class__ is Atom:
         return RowPatternStep(unwrapped.name, 1, 1, False, skips_rows, goal, None)
     if unwrapped.__class__ is not tuple or unwrapped[0] in (_WHERE, _UNTIL):
@@ -388,10 +403,10 @@ def _parse_quantified_step(
     term: CompoundTerm,
     skips_rows: bool,
     goal: Optional[Term],
-    form: str = f"a step is {_STEP_NOTATION}",
+    first_count: int = 1,
 ) -> RowPatternStep:
-    """Return the step that a term with a quantifier denotes."""
-    arguments: List[Any] = [deref(argument) for argument in term[1:]]
+    """Return the step that a term with a quantifier denotes; its quantifier begins at argument ``first_count``."""
+    arguments: List[Any] = [deref(argument) for argument in term[first_count:]]
     reluctant, until = False, None
     option = arguments[-1]
     if option.__class__ is Atom and option.name == _RELUCTANT:
@@ -405,7 +420,9 @@ def _parse_quantified_step(
     if len(arguments) == 2 and maximum.__class__ is Atom and maximum.name == _GREEDY:
         maximum = None
     if not 1 <= len(arguments) <= 2 or not _are_counts(minimum, maximum):
-        raise reader.create_error(f"{form}, where N is not larger than M, and M at least 1", term)
+        is_group = term[0].name == _GROUP
+        notation = f"a group is {_GROUP_NOTATION}" if is_group else f"a step is {_STEP_NOTATION}"
+        raise reader.create_error(f"{notation}, where N is not larger than M, and M at least 1", term)
     return RowPatternStep(term[0].name, minimum, maximum, reluctant, skips_rows, goal, until)
 
 
@@ -437,18 +454,15 @@ def _require_step_ends(
             raise reader.create_error(message, row_pattern_term, 1)
 
 
-def _navigation_error(
-    reader: "PatternReader", navigation: RowNavigation, names: Sequence[str], row_pattern_term: CompoundTerm
-) -> RuleError:
+def _navigation_error(reader: "PatternReader", navigation: RowNavigation, names: Sequence[str]) -> RuleError:
+    term = navigation.term
     if not navigation.is_valid and navigation.kind == "prev":
-        return reader.create_error(
-            f"prev(X, N) needs a number of events from 1 to {_MAX_DISTANCE}", row_pattern_term, 1
-        )
+        message = f"prev(X, N) needs a number of events from 1 to {_MAX_DISTANCE}"
+        return reader.create_error(message, term, len(term) - 1)
     if not navigation.is_valid:
-        return reader.create_error(f"unknown step; the steps are {', '.join(names)}", row_pattern_term, 1)
-    return reader.create_error(
-        f"{navigation.kind} needs a variable that the pattern binds", row_pattern_term, 1
-    )
+        near_name = did_you_mean(functor_name(deref(term[1])), names)
+        return reader.create_error(f"unknown step; the steps are {', '.join(names)}{near_name}", term, 1)
+    return reader.create_error(f"{navigation.kind} needs a variable that the pattern binds", term)
 
 
 def split_condition(
@@ -495,19 +509,37 @@ def _split_conjunction(goal: Term) -> Iterator[Term]:
 def _replace_navigations(goal: Term, names: Sequence[str], step: int) -> StepCondition:
     navigations: List[RowNavigation] = []
 
-    def replace(term: Term) -> Term:
+    def replace(term: Term, is_number: bool) -> Term:
         term = deref(term)
         if term.__class__ is not tuple:
             return term
         if term[0] in _STAMP_GOALS:
             return (_UNIFY, term[1], _STAMP_GOALS[term[0]])
         navigation = _parse_navigation(term, names, step)
+        if navigation is None and _is_malformed_navigation(term, is_number):
+            # The parser reports it, because its variable is not one of the pattern.
+            navigation = RowNavigation(term[0].name, 1, Var(), Var(), term)
         if navigation is None:
-            return (term[0], *[replace(arg) for arg in term[1:]])
+            is_number = is_number or term[0] in _COMPARISONS
+            return (term[0], *[replace(arg, is_number) for arg in term[1:]])
         navigations.append(navigation)
         return navigation.placeholder
 
-    return StepCondition(replace(goal), tuple(navigations))
+    return StepCondition(replace(goal, False), tuple(navigations))
+
+
+def _is_malformed_navigation(term: CompoundTerm, is_number: bool) -> bool:
+    """Return whether a term that is no navigation has the name of one, and no other meaning.
+
+    Args:
+        term: the term.
+        is_number: whether it is a part of an arithmetic expression; a predicate may have the name.
+    """
+    name, arity = term[0].name, len(term) - 1
+    if name == "prev" and arity <= 2:
+        return True
+    is_evaluable = name in _EVALUABLE_WITH_TWO_ARGUMENTS and arity == 2
+    return is_number and arity <= 2 and name in ("first", "last", *STEP_AGGREGATES) and not is_evaluable
 
 
 def _parse_navigation(term: CompoundTerm, names: Sequence[str], step: int) -> Optional[RowNavigation]:
@@ -517,24 +549,24 @@ def _parse_navigation(term: CompoundTerm, names: Sequence[str], step: int) -> Op
     last: Any = deref(term[-1])
     first_var, last_var = insert_stamps(first), insert_stamps(last)
     if term[0] is _PREV_WITH_DISTANCE and first_var.__class__ is Var:
-        return RowNavigation("prev", last if last.__class__ is int else 0, first_var, Var())
+        return RowNavigation("prev", last if last.__class__ is int else 0, first_var, Var(), term)
     if term[0] in _NAVIGATIONS and last_var.__class__ is Var:
         kind = _NAVIGATIONS[term[0]]
-        return RowNavigation(kind, 1 if kind == "prev" else step, last_var, Var())
+        return RowNavigation(kind, 1 if kind == "prev" else step, last_var, Var(), term)
     if term[0] in _STEP_NAVIGATIONS and first.__class__ is Atom and last_var.__class__ is Var:
-        return RowNavigation(name, _find_step(first.name, names), last_var, Var())
+        return RowNavigation(name, _find_step(first.name, names), last_var, Var(), term)
     if name not in STEP_AGGREGATES or len(term) > 3:
         return None
     has_value = AGGREGATES[name].has_value
     if len(term) - 1 == has_value and last.__class__ is Var:
-        return RowNavigation(name, step, last, Var())
+        return RowNavigation(name, step, last, Var(), term)
     if len(term) - 2 != has_value or first.__class__ is not Atom or (has_value and last.__class__ is not Var):
         return None
     number = _find_step(first.name, names)
     # `max(e, X)` is the larger one of two numbers.
     if number == _UNKNOWN_STEP and name in _EVALUABLE_WITH_TWO_ARGUMENTS:
         return None
-    return RowNavigation(name, number, last if has_value else None, Var())
+    return RowNavigation(name, number, last if has_value else None, Var(), term)
 
 
 def _find_step(name: str, names: Sequence[str]) -> int:
