@@ -104,7 +104,12 @@ def test_cluster_has_same_results(
     monkeypatch.chdir(bags.parent)  # the workers have another working folder
     options = ["bag", "bags", "--program", "program", "--json", "--output", "new"]
     assert main([*options, "--scheduler", cluster]) == 1
-    assert f"error: {bags}/r1/aa.bag is not a complete ROS 1 bag" in capfd.readouterr().err
+    errors = capfd.readouterr().err
+    assert errors.startswith(f"{cluster}: 1 worker with retalis ")
+    assert f"error: {bags}/r1/aa.bag is not a complete ROS 1 bag" in errors
+    assert errors.endswith("1 of 4 bags failed\n")
+    assert main([*options, "--scheduler", cluster, "--resume"]) == 1
+    assert "resume: 3 of 4 results are whole" in capfd.readouterr().err
     for name in VALID_BAGS:
         assert main(["bag", f"{bags}/{name}.bag", "--program", program, "--json"]) == 0
         assert (tmp_path / "new" / f"{name}.jsonl").read_text() == capfd.readouterr().out

@@ -7,7 +7,7 @@ from typing import Any, Dict, List
 import pytest
 from bags_and_program import make_bag, make_program
 
-from retalis.cli.command_line import main
+from retalis.cli.command_line import main, version
 from retalis.cli.result_manifest import (
     ResultManifest,
     compute_inputs,
@@ -16,7 +16,7 @@ from retalis.cli.result_manifest import (
     record_result,
 )
 
-INPUTS = {"retalis": "1", "program": "a", "options": "b"}
+INPUTS = {"retalis": version(), "program": "a", "options": "b"}
 OUTCOME = {"errors": 2, "stderr_text": "a warning"}
 
 
@@ -94,6 +94,14 @@ def test_changed_input_has_result_computed(manifests: List[ResultManifest], name
     assert find_whole_results([changed], [0])[1].endswith(f": 1 with other {name}")
 
 
+def test_manifest_has_version_of_worker(
+    manifests: List[ResultManifest], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("retalis.cli.result_manifest.version", lambda: "0.1")
+    record(manifests[0], tmp_path)
+    assert find_whole_results(manifests[:1], [0])[1].endswith(": 1 with other retalis")
+
+
 def test_file_outside_of_program_counts(manifests: List[ResultManifest], tmp_path: Path) -> None:
     rules = tmp_path / "common.txt"
     rules.write_text("a <- b.")
@@ -125,6 +133,8 @@ def test_results_and_bags_in_program_are_no_inputs(tmp_path: Path) -> None:
         return compute_inputs(options, ("jsonl", False), str(program / "out"))
 
     first = inputs()
+    assert first["retalis"] == version()
+    assert "retalis" not in compute_inputs(options, ("jsonl", False), "out", any_version=True)
     (program / "out").mkdir()
     for name in ("out/a.jsonl", "a.bag", ".hidden"):
         (program / name).write_text("data")

@@ -608,7 +608,7 @@ def play_bag(task: BagTask, scratch: str) -> BagOutcome:
     try:
         record_result(task.manifest, scratch, play_recorded)
     except RetalisError as error:
-        outcome = outcome._replace(failure=str(error))
+        outcome = outcome._replace(failure=str(error), state=None)
     return outcome
 
 
@@ -711,12 +711,15 @@ def _list_written_files(tasks: List[BagTask]) -> List[str]:
 def _skip_whole_results(tasks: List[BagTask], ready: Deque[int], reporter: "_OutcomeReporter") -> int:
     """Report the outcomes of the results that are whole, and remove their tasks; return their number."""
     manifests = [task.manifest for task in tasks if task.manifest is not None]
-    outcomes, line = find_whole_results(manifests, list(ready))
+    starts = list(ready)
+    outcomes, line = find_whole_results(manifests, starts)
     print(line, file=sys.stderr)
     for number, fields in outcomes.items():
-        reporter.add_outcome(number, BagOutcome(**fields))
-        if number in ready:
-            ready.remove(number)
+        # With --any-version, another version may have written the manifest.
+        known_fields = {name: fields[name] for name in BagOutcome._fields if name in fields}
+        reporter.add_outcome(number, BagOutcome(**{"errors": 0, "stderr_text": "", **known_fields}))
+    ready.clear()
+    ready.extend(number for number in starts if number not in outcomes)
     return len(outcomes)
 
 
@@ -756,13 +759,14 @@ def _create_tasks(
     bag_options["folder"] = [absolute(folder_name) for folder_name in options.folder]
     inputs = None
     if result_format is not None:
-        inputs = compute_inputs(bag_options, (result_format, options.parts), options.output)
+        other_options = (result_format, options.parts)
+        inputs = compute_inputs(bag_options, other_options, options.output, options.any_version)
     targets: Dict[str, str] = {}
     tasks: List[BagTask] = []
     ready: Deque[int] = deque()
     for bags in recordings:
         ready.append(len(tasks))
-        for bag in bags:
+        for position, bag in enumerate(bags):
             if result_format is None:
                 # Printed output is collected in temporary files, so that it can be printed in the order of the
                 # bags.
@@ -773,10 +777,10 @@ def _create_tasks(
             targets[target] = bag.location
             location, manifest = shared_path(bag.location), None
             if inputs is not None:
-                # The first part of a recording can be deleted, so that the second one has another state.
-                position = {"position in the recording": str(bags.index(bag))}
+                # If parts are added or deleted, the others continue from another state, or have another end.
+                position_text = f"{position} of {len(bags)}"
                 place = shared_path(manifest_location(options.output, f"{bag.name}.{result_format}"))
-                manifest = ResultManifest(place, location, target, {**inputs, **position})
+                manifest = ResultManifest(place, location, target, {**inputs, "position": position_text})
             has_next_part = bag is not bags[-1]
             tasks.append(
                 BagTask(location, target, result_format, bag_options, has_next_part, manifest=manifest)

@@ -66,13 +66,16 @@ def manifest_location(output: str, result_name: str) -> str:
     return f"{output.rstrip('/')}/{_FOLDER}/{result_name}.json"
 
 
-def compute_inputs(options: Mapping[str, Any], others: Sequence[object], output: str) -> Dict[str, str]:
+def compute_inputs(
+    options: Mapping[str, Any], others: Sequence[object], output: str, any_version: bool = False
+) -> Dict[str, str]:
     """Return what all results of a run depend on besides their bags.
 
     Args:
         options: options of a single bag.
         others: further options.
         output: folder of the results, which can be in the folder of the program.
+        any_version: whether results of other versions of this package count as whole.
     """
     folders = [options["program"], *options["msg"], *filter(None, [options["answers"]])]
     digest = sha256()
@@ -81,11 +84,11 @@ def compute_inputs(options: Mapping[str, Any], others: Sequence[object], output:
             digest.update(f"{text}\n".encode("utf-8", "surrogateescape"))
     values = {name: value for name, value in options.items() if name not in _PROGRAM_OPTIONS}
     option_text = json.dumps([values, others], sort_keys=True, default=repr)
-    return {
-        "retalis": version(),
+    inputs = {
         "program": digest.hexdigest(),
         "options": sha256(option_text.encode("utf-8", "surrogateescape")).hexdigest(),
     }
+    return inputs if any_version else {"retalis": version(), **inputs}
 
 
 def _describe_files(path: Path, output: str) -> Iterator[str]:
@@ -141,7 +144,8 @@ def record_result(
     if outcome is None:
         return
     content = {
-        "inputs": manifest.inputs,
+        # A worker of a cluster can have another version than the client.
+        "inputs": {**manifest.inputs, "retalis": version()},
         "files": {path: _digest(Path(path)) for path in loaded_files},
         "bag": bag_files,
         "size": _result_size(manifest.target),
