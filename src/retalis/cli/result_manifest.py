@@ -8,7 +8,6 @@ manifest, and the version of retalis, the program, the options and the bag are t
 import json
 import os
 from collections import Counter
-from hashlib import sha256
 from pathlib import Path
 from typing import (
     Any,
@@ -78,15 +77,12 @@ def compute_inputs(
         any_version: whether results of other versions of this package count as whole.
     """
     folders = [options["program"], *options["msg"], *filter(None, [options["answers"]])]
-    digest = sha256()
-    for folder in folders:
-        for text in _describe_files(Path(folder), os.path.realpath(output)):
-            digest.update(f"{text}\n".encode("utf-8", "surrogateescape"))
+    lines = [line for folder in folders for line in _describe_files(Path(folder), os.path.realpath(output))]
     values = {name: value for name, value in options.items() if name not in _PROGRAM_OPTIONS}
     option_text = json.dumps([values, others], sort_keys=True, default=repr)
     inputs = {
-        "program": digest.hexdigest(),
-        "options": sha256(option_text.encode("utf-8", "surrogateescape")).hexdigest(),
+        "program": _digest("\n".join(lines)),
+        "options": _digest(option_text),
     }
     return inputs if any_version else {"retalis": version(), **inputs}
 
@@ -94,7 +90,7 @@ def compute_inputs(
 def _describe_files(path: Path, output: str) -> Iterator[str]:
     """Yield a line for each file below a folder, or for a file, without bags, hidden files and results."""
     if not path.is_dir():
-        yield f"{path.name} {_digest(path)}"
+        yield f"{path.name} {_digest_file(path)}"
         return
     for folder, folder_names, names in os.walk(path):
         folder_names[:] = sorted(
@@ -106,16 +102,24 @@ def _describe_files(path: Path, output: str) -> Iterator[str]:
         for name in sorted(names):
             if not name.startswith(".") and not name.endswith(BAG_SUFFIXES):
                 file = Path(folder, name)
-                yield f"{file.relative_to(path)} {_digest(file)}"
+                yield f"{file.relative_to(path)} {_digest_file(file)}"
 
 
-def _digest(path: Path) -> str:
+def _digest(content: Union[str, bytes]) -> str:
+    from hashlib import sha256  # noqa: PLC0415 - loads OpenSSL, which runs over single bags do not need
+
+    return sha256(
+        content if isinstance(content, bytes) else content.encode("utf-8", "surrogateescape")
+    ).hexdigest()
+
+
+def _digest_file(path: Path) -> str:
     """Return a text that changes with a file."""
     try:
         status = path.stat()
         if status.st_size > _MAX_DIGEST_BYTES or not path.is_file():
             return f"{status.st_size} {status.st_mtime_ns}"
-        return sha256(path.read_bytes()).hexdigest()
+        return _digest(path.read_bytes())
     except OSError:
         return "unreadable"
 
@@ -146,7 +150,7 @@ def record_result(
     content = {
         # A worker of a cluster can have another version than the client.
         "inputs": {**manifest.inputs, "retalis": version()},
-        "files": {path: _digest(Path(path)) for path in loaded_files},
+        "files": {path: _digest_file(Path(path)) for path in loaded_files},
         "bag": bag_files,
         "size": _result_size(manifest.target),
         "outcome": outcome,
@@ -204,7 +208,7 @@ def _read_outcome(manifest: ResultManifest) -> Union[Mapping[str, Any], str]:
         for name, value in manifest.inputs.items():
             if content["inputs"].get(name) != value:
                 return f"other {name}"
-        if any(_digest(Path(path)) != digest for path, digest in content["files"].items()):
+        if any(_digest_file(Path(path)) != digest for path, digest in content["files"].items()):
             return "other program"
         if content["bag"] != list_file_versions(manifest.bag):
             return "other bag"
