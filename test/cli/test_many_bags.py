@@ -6,7 +6,9 @@ from typing import Any, Iterator
 import pytest
 from bags_and_program import make_bag, make_program
 
+from retalis.cli.bag_command import BagOutcome
 from retalis.cli.command_line import main
+from retalis.cli.dask_cluster import ClusterError
 
 
 @pytest.fixture
@@ -113,6 +115,24 @@ def test_cluster_has_same_results(
     for name in VALID_BAGS:
         assert main(["bag", f"{bags}/{name}.bag", "--program", program, "--json"]) == 0
         assert (tmp_path / "new" / f"{name}.jsonl").read_text() == capfd.readouterr().out
+
+
+def test_lost_cluster_is_one_line_with_count(
+    program: str, bags: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def lose(function: Any, tasks: Any, *arguments: Any) -> Iterator[Any]:
+        yield 2, BagOutcome(0, "", "the third bag fails")
+        raise ClusterError("the scheduler is lost")
+
+    monkeypatch.setattr("retalis.cli.bag_command.run_on_cluster", lose)
+    monkeypatch.chdir(bags.parent)
+    options = ["bag", "bags", "--program", program, "--output", "new", "--scheduler", "tcp://here:1"]
+    assert main(options) == 1
+    assert capfd.readouterr().err.splitlines() == [
+        "error: the scheduler is lost; --resume continues the run",
+        f"error: {bags}/r1/b.bag: the third bag fails",
+        "4 of 4 bags failed",
+    ]
 
 
 @pytest.mark.slow

@@ -696,7 +696,8 @@ def play_separately(options: argparse.Namespace) -> int:
                 reporter.add_outcome(number, outcome)
                 bar(count())
         except ClusterError as error:
-            listener.report(f"error: {error}")
+            hint = "; --resume continues the run" if reporter.finished_count else ""
+            listener.report(f"error: {error}{hint}")
             reporter.fail_unfinished()
         if _records_coverage(options):
             _report_coverage(options, reporter.coverage)
