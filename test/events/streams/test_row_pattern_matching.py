@@ -485,6 +485,15 @@ def test_timeouts_of_keys_are_separate() -> None:
     assert timeouts_of(timeout_runner(rule), "e(k,1)@1 e(m,1)@2 e(k,9)@3 x@20") == "s(m)@2-7"
 
 
+def test_match_of_idle_key_times_out() -> None:
+    """Events of key m do not end the state of key k before its deadline."""
+    rule = (
+        "l([property(ttl, 2)]) : "
+        "s(K) <- aggregate(count, e(K, X), _, timed_out(steps([a, later(b) where X > 5]), 5))."
+    )
+    assert timeouts_of(timeout_runner(rule), "e(k,1)@1 e(m,1)@4 x@20") == "s(k)@1-6 s(m)@4-9"
+
+
 def test_event_without_alarm_before_it_times_out_match_of_its_key() -> None:
     """With a delay of the watermark, events after the deadline arrive before the alarm."""
     program = timeout_runner(TIMEOUTS.format("a, b where X > 5", ""), [("watermark_delay", "3")])

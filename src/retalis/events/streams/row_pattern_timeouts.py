@@ -13,7 +13,7 @@ from ...serialization.field_types import State
 from .aggregates import Accumulator
 from .row_pattern import CompletedMatch, ComputationState, PartitionState, RowPatternWindow, StepClassifier
 from .row_pattern_automaton import RowPatternNFA, RowPatternSkip
-from .stream_operators import StreamElement, StreamOutput
+from .stream_operators import KeyBounds, StreamElement, StreamOutput
 
 
 class RowPatternTimeouts(RowPatternWindow):
@@ -41,6 +41,12 @@ class RowPatternTimeouts(RowPatternWindow):
         self._timeout = timeout
         # Deadlines with the orders of the first elements and the keys; those of failed matches remain for a while.
         self._deadlines: List[Tuple[int, int, Hashable]] = []
+
+    def set_bounds(self, bounds: KeyBounds) -> None:
+        """See `StreamOperator.set_bounds`."""
+        super().set_bounds(bounds)
+        # The deadlines end the states of each key. Without new elements, too, its matches have to time out.
+        self._max_idle_time = None
 
     def process(self, element: StreamElement, now: int, channel: int) -> List[StreamOutput]:
         """See `StreamOperator.process`."""
