@@ -12,7 +12,7 @@ from asserting_accessors import required
 from bags_and_program import SECOND, make_bag, make_program
 
 from retalis import BagReader
-from retalis.cli.bag_command import BagTask, add_parser, play_bag
+from retalis.cli.bag_command import BagOutcome, BagTask, add_parser, play_bag
 from retalis.cli.many_bags_options import single_bag_options
 from retalis.cli.stderr_and_progress import MAX_BAG_TEXT_CHARACTERS
 from retalis.foundation.garbage_collection import stop_limiting_gc_pauses
@@ -55,33 +55,17 @@ def test_result_has_requested_format(
     program: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     bag = make_bag(tmp_path / "a.bag", "x", "x")
-    assert play_bag(make_task(program, bag, tmp_path / "text", None), str(tmp_path)) == (
-        0,
-        "",
-        None,
-        None,
-        (),
-    )
+    assert play_bag(make_task(program, bag, tmp_path / "text", None), str(tmp_path)) == (BagOutcome(0, ""))
     assert (tmp_path / "text").read_text().splitlines() == [
         """output(std_msgs__0__String('"x"'),said).""",
     ] * 3
     assert play_bag(make_task(program, bag, tmp_path / "lines", "jsonl"), str(tmp_path)) == (
-        0,
-        "",
-        None,
-        None,
-        (),
+        BagOutcome(0, "")
     )
     lines = (tmp_path / "lines").read_text().splitlines()
     assert lines[0].startswith('{"output": "std_msgs__0__String(')
     assert len(lines) == 3
-    assert play_bag(make_task(program, bag, tmp_path / "b.bag", "bag"), str(tmp_path)) == (
-        0,
-        "",
-        None,
-        None,
-        (),
-    )
+    assert play_bag(make_task(program, bag, tmp_path / "b.bag", "bag"), str(tmp_path)) == (BagOutcome(0, ""))
     with BagReader(tmp_path / "b.bag") as reader:
         assert [record.topic.name for record in reader.records()] == ["/said"] * 3
     assert capsys.readouterr() == ("", "")
@@ -92,7 +76,7 @@ def test_part_continues_from_state_of_previous_part(program: Any, tmp_path: Path
     first = make_task(program, make_bag(tmp_path / "a_0.bag", "x"), tmp_path / "0", "jsonl")
     result = play_bag(first._replace(has_next_part=True), str(tmp_path))
     second = make_task(program, make_bag(tmp_path / "a_1.bag", "x", start=9), tmp_path / "1", "jsonl")
-    assert play_bag(second._replace(state=result.state), str(tmp_path)) == (0, "", None, None, ())
+    assert play_bag(second._replace(state=result.state), str(tmp_path)) == BagOutcome(0, "")
     lines = [json.loads(line) for line in (tmp_path / "1").read_text().splitlines()]
     assert [(line["id"], line["time"] // SECOND) for line in lines] == [("all", 9), ("twice", 9)]
 
@@ -101,7 +85,7 @@ def test_parquet_result_has_records(program: Any, tmp_path: Path) -> None:
     parquet = pytest.importorskip("pyarrow.parquet")
     bag = make_bag(tmp_path / "a.bag", "x", "x")
     result = play_bag(make_task(program, bag, tmp_path / "p", "parquet", "--events"), str(tmp_path))
-    assert result == (0, "", None, None, ())
+    assert result == BagOutcome(0, "")
     rows = parquet.read_table(tmp_path / "p").to_pylist()
     assert [row["id"] for row in rows if row["output"]] == ["all", "all", "twice"]
     assert sum(row["event"] is not None for row in rows) == 3

@@ -363,3 +363,18 @@ def test_missing_file_has_no_readings(capsys: pytest.CaptureFixture[str], tmp_pa
     status, text = run_check(capsys, tmp_path / "none.txt", "--explain")
     assert status == 1
     assert "cannot read" in text
+
+
+def test_incomplete_bag_is_a_warning(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    definitions = Definitions()
+    with BagWriter(tmp_path / "a.bag") as bag:
+        heat = bag.add("/hot", definitions.add("my_robot/Heat", "int8 x\nint8 y\n"))
+        bag.write(heat, 1, bytes(2))
+    content = (tmp_path / "a.bag").read_bytes()
+    (tmp_path / "a.bag").write_bytes(content[:-20])
+    assert main(["check", str(folder), "--bag", str(tmp_path / "a.bag")]) == 0
+    captured = capsys.readouterr()
+    assert captured.out == f"{folder}: no errors, no warnings\n"
+    assert captured.err.startswith(f"warning: {tmp_path}/a.bag is incomplete: ")

@@ -269,3 +269,18 @@ def test_wrong_use_is_reported(capsys: pytest.CaptureFixture[str], folder: Path)
         assert f"{option}" in capsys.readouterr().err
     status, _, error = run_diff(capsys, "nowhere", "new", "bags")
     assert (status, error) == (1, "retalis: nowhere is not a folder: expected the folder of a program\n")
+
+
+def test_incomplete_bag_has_status_3(capsys: pytest.CaptureFixture[str], folder: Path) -> None:
+    path = folder / "bags" / "b.bag"
+    path.write_bytes(path.read_bytes()[:-100])
+    status, text, errors = run_diff(capsys, "old", "old", "bags", "--full", "--junit", "changes.xml")
+    assert (status, text) == (3, "2 bags: 3 equal outputs, 1 bag incomplete\n")
+    assert errors.startswith("warning: bags/b.bag is incomplete: its index is cut or damaged at byte ")
+    suite = ElementTree.parse(folder / "changes.xml").getroot()
+    assert suite.get("failures") == "0"
+    assert [case.findtext("system-out") for case in suite] == [None, errors.rstrip("\n")]
+    status, text, _ = run_diff(capsys, "old", "new", "bags/b.bag", "--json")
+    assert json.loads(text)["incomplete"] == "bags/b.bag"
+    status, _, errors = run_diff(capsys, "old", "new", "bags/b.bag", "--strict")
+    assert (status, errors[:34]) == (1, "error: bags/b.bag is incomplete: i")

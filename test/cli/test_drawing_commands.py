@@ -142,3 +142,16 @@ def test_plot_finds_types_in_folder(tmp_path: Path, capsys: pytest.CaptureFixtur
     assert "arm_msgs/Feedback" in capsys.readouterr().err
     assert main([*plot, "--msg", str(tmp_path / "arm_msgs")]) == 0
     assert "error" not in capsys.readouterr().err
+
+
+def test_plot_of_incomplete_bag_has_status_3(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    bag = tmp_path / "a.bag"
+    make_bag(bag, 1.0, 1)
+    bag.write_bytes(bag.read_bytes()[:-100])
+    options = ["plot", str(bag), "--program", PROGRAM, "-o", str(tmp_path / "a.html")]
+    assert main([*options, "--strict"]) == 1
+    assert not (tmp_path / "a.html").exists()
+    capsys.readouterr()
+    assert main(options) == 3
+    assert capsys.readouterr().err.startswith(f"warning: {bag} is incomplete: ")
+    assert "application_source over a.bag (incomplete)" in (tmp_path / "a.html").read_text(encoding="utf-8")

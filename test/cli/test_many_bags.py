@@ -1,5 +1,6 @@
 """Separate playback of several bags: results, order and failures."""
 
+import json
 from pathlib import Path
 from typing import Any, Iterator
 
@@ -231,3 +232,69 @@ def test_coverage_file_that_cannot_be_written_is_an_error(
     bag = make_bag(tmp_path / "a.bag", "x")
     assert main(["bag", str(bag), "--program", program, "--quiet", "--html", str(tmp_path)]) == 1
     assert capfd.readouterr().err.startswith(f"retalis: cannot write {tmp_path}: ")
+
+
+def cut_bag(path: Path, text: str) -> str:
+    """Write a bag of two texts whose second message is cut; return the description of what is missing."""
+    make_bag(path, text, "not read")
+    content = path.read_bytes()
+    # Before the text are lengths of 4 bytes each of text, data and header, and the header of 38 bytes.
+    start = content.index(b"not read") - 4 - 4 - 38 - 4
+    path.write_bytes(content[: start + 30])
+    return (
+        f"{path} is incomplete: its index is missing: 1 message was read, the last of time 1.000000000 s; "
+        f"30 bytes from byte {start} on were not, at least "
+    )
+
+
+def test_incomplete_bag_is_played_with_status_3(
+    program: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    bag = tmp_path / "a.bag.active"
+    description = cut_bag(bag, "x")
+    assert main(["bag", str(bag), "--program", program]) == 3
+    captured = capfd.readouterr()
+    assert captured.out == """output(std_msgs__0__String('"x"'),said).\n"""
+    assert captured.err.startswith(f"warning: {description}")
+    assert captured.err.count("\n") == 1
+    assert main(["bag", str(bag), "--program", program, "--json", "--times=relative"]) == 3
+    record = json.loads(capfd.readouterr().out.splitlines()[0])
+    assert (record["incomplete"], record["problem"], record["messages"], record["unread_bytes"]) == (
+        str(bag),
+        "its index is missing",
+        1,
+        30,
+    )
+
+
+def test_strict_option_refuses_incomplete_bag(
+    program: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    bag, output = tmp_path / "a.bag", tmp_path / "out.bag"
+    description = cut_bag(bag, "x")
+    assert main(["bag", str(bag), "--program", program, "--strict", "--output", str(output)]) == 1
+    captured = capfd.readouterr()
+    assert captured.out == ""
+    assert captured.err.startswith(f"retalis: {description}")
+    assert not output.exists()
+
+
+@pytest.mark.slow
+def test_summary_counts_incomplete_bags(
+    program: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    make_bag(tmp_path / "bags" / "a.bag", "x")
+    description = cut_bag(tmp_path / "bags" / "b.bag.active", "x")
+    results = ["--program", program, "--jobs", "2", "--format", "jsonl", "--output"]
+    assert main(["bag", str(tmp_path / "bags"), *results, str(tmp_path / "results")]) == 3
+    messages = capfd.readouterr().err
+    assert messages.startswith(f"{tmp_path}/bags/b.bag.active:\nwarning: {description}")
+    assert messages.endswith("\n1 of 2 bags are incomplete\n")
+    lines = [(tmp_path / "results" / f"{name}.jsonl").read_text().splitlines() for name in "ab"]
+    assert lines[1][0].startswith(f'{{"incomplete": "{tmp_path}/bags/b.bag.active", ')
+    assert lines[1][1:] == lines[0]
+    assert main(["bag", str(tmp_path / "bags"), *results, str(tmp_path / "strict"), "--strict"]) == 1
+    assert capfd.readouterr().err.endswith("\n1 of 2 bags failed\n")
+    assert [path.name for path in (tmp_path / "strict").glob("*.jsonl")] == ["a.jsonl"]
+    assert main(["bag", str(tmp_path / "bags"), *results, str(tmp_path / "results"), "--resume"]) == 3
+    assert capfd.readouterr().err.endswith("\n1 of 2 bags are incomplete\n")

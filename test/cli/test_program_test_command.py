@@ -9,6 +9,7 @@ from xml.etree import ElementTree
 import pytest
 from testing.case_texts import fever_file
 
+from retalis import BagWriter, Definitions
 from retalis.cli.command_line import main
 
 PASSING = fever_file("outputs: {count: 2}")
@@ -241,3 +242,21 @@ def test_watch_runs_again_after_change_of_program_elsewhere(
     monkeypatch.setattr("time.sleep", wait)
     run_test(capsys, tests, "--watch")
     assert [run.splitlines()[-2] for run in runs] == ["1 passed", "0 passed, 1 failed"]
+
+
+def test_incomplete_bag_is_reported_with_passed_case(
+    capsys: pytest.CaptureFixture[str], folder: Path
+) -> None:
+    definition = Definitions().find("std_msgs/Empty")
+    with BagWriter("a.bag") as bag:
+        bag.write(bag.add("/a", definition), 1, b"")
+    Path("a.bag").write_bytes(Path("a.bag").read_bytes()[:-20])
+    (folder / "a_test.yaml").write_text(
+        "rules: |\n  b <- std_msgs__0__Empty.\ntopics: {a: std_msgs/Empty}\n"
+        "cases: [{name: x, input: [{bag: a.bag}], expect: {events: [b]}}]\n"
+    )
+    status, text = run_test(capsys, "--junit", "results.xml")
+    warning, summary = text.splitlines()
+    assert (status, summary) == (0, "1 passed")
+    assert warning.startswith("  warning: a.bag is incomplete: its index is cut or damaged at byte ")
+    assert ElementTree.parse("results.xml").getroot().findtext(".//system-out") == warning.strip()

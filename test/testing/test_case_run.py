@@ -364,3 +364,17 @@ def test_name_in_comment_is_no_event(definitions: Definitions) -> None:
     )
     (failure,) = run_text(text, definitions).failures
     assert "the program has no event 'fevr'" in failure
+
+
+def test_incomplete_bag_is_a_warning(definitions: Definitions, tmp_path: Path) -> None:
+    bag = tmp_path / "heat.bag"
+    write_heat_bag(bag, definitions)
+    bag.write_bytes(bag.read_bytes()[:-50])
+    text = BAG_CASE.format(options="", events="warm(1), warm(2), warm(3), warm(3)")
+    result = run_text(text, definitions, tmp_path / "x_test.yaml")
+    assert result.failures == ()
+    (description,) = result.incomplete_files
+    assert description.startswith(f"{bag} is incomplete: its index is cut or damaged at byte ")
+    assert description in result.warnings
+    failures = run_text(f"{text}      warnings: none\n", definitions, tmp_path / "x_test.yaml").failures
+    assert f"unexpected warning: {description}" in failures

@@ -24,6 +24,7 @@ from typing import (
     Deque,
     Dict,
     Generator,
+    Iterable,
     List,
     Mapping,
     NamedTuple,
@@ -41,6 +42,7 @@ from ..foundation.errors import RetalisError, UsageError, quote_shortened
 from ..foundation.garbage_collection import limit_gc_pauses, restore_gc
 from ..foundation.interrupts import check_interrupt, interruptible
 from ..foundation.output_files import print_json
+from ..playback.bag_files import INCOMPLETE_STATUS, IncompleteFile
 from ..playback.bag_locations import (
     BagLocation,
     MergedBag,
@@ -52,7 +54,14 @@ from ..playback.bag_locations import (
     remove_incomplete_results,
     result_file,
 )
-from ..playback.playback import Output, Playback, RunRecorder, RunTable, make_output_record
+from ..playback.playback import (
+    Output,
+    Playback,
+    RunRecorder,
+    RunTable,
+    make_incomplete_file_record,
+    make_output_record,
+)
 from ..playback.rosbag1 import BagWriter
 from ..playback.worker_pools import Unfinished, run_in_processes
 from ..prolog.syntax.event_text import to_text
@@ -119,14 +128,16 @@ DESCRIPTION = """\
 Run a program over bags and print its outputs, as output(TERM,TOPIC) terms. Several bags are played as one,
 in the order of receipt.
 
-ROS 1 bags may be compressed. A ROS 2 bag is a folder with metadata.yaml, or its .db3, .mcap, .db3.zstd or .mcap.zstd
-file. ROS 2 messages are read as ROS 1 messages of the same name.
+A ROS 2 bag is a folder with metadata.yaml, or its .db3, .mcap, .db3.zstd or .mcap.zstd file. Its messages are read as
+those of ROS 1.
 
-With --jobs or --scheduler each bag is a separate run, and several run at the same time. A folder stands for all bags
-below it, sorted by name; URLs such as s3://BUCKET/FOLDER are allowed. The output is the same as that of the bags one
-after the other.
+With --jobs or --scheduler each bag is a separate run, several at a time. A folder stands for all bags below it,
+sorted by name; URLs such as s3://BUCKET/FOLDER are allowed. The output is in the order of the bags.
+
+Exit status 3: incomplete bags.
 """
 JSON_LINES_HELP = """\
+  {"incomplete": FILE, "problem": TEXT, "messages": N, "end": T, ...}    first, for incomplete bags
   {"output": TERM, "topic": TOPIC, "id": ID, "time": T}    unless --quiet; T is the bag's time
   {"event": TERM, "start": T1, "end": T2}                  with --events, and the two below
   {"wait": TERM, "memories": [ID, ...], "start": T1, "end": T2}    a query that has waited
@@ -226,6 +237,7 @@ def add_source(parser: argparse.ArgumentParser, bags: str = "+", required: bool 
         metavar="TOPIC=TYPE",
         help="a further topic whose messages become events",
     )
+    add("--strict", action="store_true", help="refuse incomplete bags")
     group = parser.add_argument_group("messages")
     add = group.add_argument
     add_message_folders(add)
@@ -234,7 +246,7 @@ def add_source(parser: argparse.ArgumentParser, bags: str = "+", required: bool 
         "--max-skew",
         type=non_negative(float),
         metavar="SECONDS",
-        help="skip messages whose stamp differs by more than this from earlier stamps of their topic and frame "
+        help="skip messages whose stamp differs by more from earlier stamps of their topic and frame "
         "(0: no limit)",
     )
     add(
@@ -267,7 +279,12 @@ def run(options: argparse.Namespace) -> int:
     played = play(options, reporter)
     if _records_coverage(options):
         _report_coverage(options, played.coverage)
-    return 1 if reporter.errors else 0
+    return exit_status_of(reporter.errors, played.incomplete_files)
+
+
+def exit_status_of(error_count: int, incomplete_files: Sequence[IncompleteFile]) -> int:
+    """Return the exit status of a run over bags: 3 if there are no errors, but incomplete files."""
+    return 1 if error_count else INCOMPLETE_STATUS if incomplete_files else 0
 
 
 def _records_coverage(options: argparse.Namespace) -> bool:
@@ -308,10 +325,17 @@ def print_record(record: Mapping[str, Any]) -> None:
 
 
 class PlayedRun(NamedTuple):
-    """A finished run: the program in its final state, and its parts with their uses, if the options request them."""
+    """A finished run.
+
+    Attributes:
+        playback: the program in its final state.
+        coverage: its parts with their uses; empty if the options do not request them.
+        incomplete_files: what is missing in the bags.
+    """
 
     playback: Playback
     coverage: "Tuple[CoveredPart, ...]"
+    incomplete_files: Tuple[IncompleteFile, ...]
 
 
 def play(
@@ -320,6 +344,7 @@ def play(
     write_record: RecordHandler = print_record,
     state: Optional[bytes] = None,
     is_last: bool = True,
+    location: Optional[str] = None,
 ) -> PlayedRun:
     """Play the bags of the options as one recording.
 
@@ -329,6 +354,7 @@ def play(
         write_record: receives events and outputs if the options request JSON.
         state: snapshot of the program to continue from; None to start without state.
         is_last: whether no bag follows that continues these.
+        location: URL of the only bag, which the options name as a local copy; None if it is no copy.
     """
     with ExitStack() as stack:
         # The bags are opened before the program is loaded, because rules may name fields of types that only a bag
@@ -353,13 +379,19 @@ def play(
         # After the program is loaded: only the objects of the run are left to the collector.
         limit_gc_pauses()
         flush_time = timestamps.from_seconds(options.flush)
+        incomplete_files = bags.incomplete_files
+        if location is not None:
+            incomplete_files = tuple(
+                file._replace(path=file.path.replace(options.bags[0], location)) for file in incomplete_files
+            )
+        printer.print_incomplete_files(incomplete_files)
         for output in playback.run(bags, printer.advance, is_last, flush_time):
             check_interrupt()
             printer.print_output(output)
             if writer is not None:
                 writer.write(output)
         printer.finish()
-    return PlayedRun(playback, () if recorder is None else tuple(recorder.parts()))
+    return PlayedRun(playback, () if recorder is None else tuple(recorder.parts()), incomplete_files)
 
 
 def open_bags(options: argparse.Namespace) -> MergedBag:
@@ -371,6 +403,7 @@ def open_bags(options: argparse.Namespace) -> MergedBag:
             options.duration,
             options.max_chunk_megabytes,
             message_folders(options),
+            options.strict,
         )
 
 
@@ -461,6 +494,12 @@ class _RunPrinter:
             self._recorder.update_waits()
         if self._bar is not None:
             self._bar(message_count)
+
+    def print_incomplete_files(self, files: Iterable[IncompleteFile]) -> None:
+        """Print the incomplete files of the bags as JSON; they are logged as warnings when they are opened."""
+        if self._options.json:
+            for file in files:
+                self._print_record(make_incomplete_file_record(file))
 
     def print_output(self, output: Output) -> None:
         """Print an output."""
@@ -575,6 +614,7 @@ class BagOutcome(NamedTuple):
         failure: reason why there is no result; None if there is one.
         state: snapshot of the program for the next part; None without one.
         coverage: parts of the program with their uses; empty if the options do not request them.
+        is_incomplete: whether the bag was read up to a break only.
     """
 
     errors: int
@@ -582,6 +622,7 @@ class BagOutcome(NamedTuple):
     failure: Optional[str] = None
     state: Optional[bytes] = None
     coverage: "Tuple[CoveredPart, ...]" = ()
+    is_incomplete: bool = False
 
 
 _PROCESS_LOCK = threading.Lock()
@@ -617,12 +658,13 @@ def _play_bag(task: BagTask, scratch: str) -> Tuple[BagOutcome, List[str]]:
     stderr, failure, bag, state = LimitedText(), "", task.location, None
     coverage: Tuple[CoveredPart, ...] = ()
     files: List[str] = []
+    is_incomplete = False
     with _PROCESS_LOCK, redirect_stderr(stderr):
         reporter = StderrReporter().attach(show_events=True)
         try:
             with local_copy(task.location, scratch) as bag, result_file(task.target, scratch) as result:
                 played = _play_to_file(result, bag, task, reporter)
-                coverage = played.coverage
+                coverage, is_incomplete = played.coverage, bool(played.incomplete_files)
                 files = sorted(map(str, played.playback.engine.program.rules.files.loaded))
                 state = played.playback.engine.snapshot() if task.has_next_part else None
         except RetalisError as error:
@@ -635,7 +677,8 @@ def _play_bag(task: BagTask, scratch: str) -> Tuple[BagOutcome, List[str]]:
             restore_gc()
     # Messages name the bag as the user gave it, not the temporary copy of a URL.
     messages, failure = (text.replace(bag, task.location) for text in (stderr.getvalue(), failure))
-    return BagOutcome(reporter.errors, messages, failure or None, state, coverage), files
+    outcome = BagOutcome(reporter.errors, messages, failure or None, state, coverage, is_incomplete)
+    return outcome, files
 
 
 def _play_to_file(result: str, bag: str, task: BagTask, reporter: StderrReporter) -> PlayedRun:
@@ -654,7 +697,7 @@ def _play_to_file(result: str, bag: str, task: BagTask, reporter: StderrReporter
         printed_output_path = result if task.format in (None, "jsonl") else os.devnull
         file = stack.enter_context(open(printed_output_path, "w", encoding="utf-8"))
         stack.enter_context(redirect_stdout(file))
-        return play(options, reporter, write_record, task.state, not task.has_next_part)
+        return play(options, reporter, write_record, task.state, not task.has_next_part, task.location)
 
 
 _TaskOutcome = Union[BagOutcome, Unfinished]
@@ -816,6 +859,7 @@ class _OutcomeReporter:
         self._next_to_report = 0
         self._error_count = 0
         self._failed_count = 0
+        self._incomplete_count = 0
         self._message_counts: Dict[str, int] = {}
         self.finished_count = 0
         self.coverage: List[CoveredPart] = []
@@ -845,6 +889,7 @@ class _OutcomeReporter:
         failure = _get_failure(outcome)
         if isinstance(outcome, BagOutcome):
             self._error_count += outcome.errors
+            self._incomplete_count += outcome.is_incomplete
             if outcome.coverage:
                 from ..testing.rule_coverage import merge_parts  # noqa: PLC0415 - see `_report_coverage`
 
@@ -880,7 +925,11 @@ class _OutcomeReporter:
             )
         if self._failed_count:
             print(f"{self._failed_count} of {len(self._tasks)} bags failed", file=sys.stderr)
-        return 1 if self._failed_count or self._error_count else 0
+        if self._incomplete_count:
+            print(f"{self._incomplete_count} of {len(self._tasks)} bags are incomplete", file=sys.stderr)
+        if self._failed_count or self._error_count:
+            return 1
+        return INCOMPLETE_STATUS if self._incomplete_count else 0
 
 
 def _get_failure(outcome: _TaskOutcome) -> Optional[str]:

@@ -27,7 +27,7 @@ from .command_options import (
 )
 from .option_values import non_negative
 from .optional_ros_imports import installed_definitions
-from .stderr_and_progress import paint
+from .stderr_and_progress import paint, warnings_on_stderr
 
 _DEFAULT_MAX_SECONDS = 60
 _MARKED_LETTER = re.compile(r"`[^`]*`|\*\*([A-Z])\*\*")
@@ -127,7 +127,7 @@ def _add_types_of_bag(
     definitions: Definitions, path: Path, max_chunk_megabytes: int, folders: Sequence[str]
 ) -> List[RecordedTopic]:
     """Add the message types of a bag, and return its topics; a malformed definition is reported and skipped."""
-    with open_bag(path, max_chunk_megabytes, folders) as bag:
+    with warnings_on_stderr(), open_bag(path, max_chunk_megabytes, folders) as bag:
         for topic in bag.topics:
             try:
                 definitions.received(topic.type, topic.type, topic.definition, topic.md5sum)

@@ -15,8 +15,9 @@ from ..foundation.errors import RetalisError, UsageError, format_count, printabl
 from ..foundation.output_files import print_json, write_xml
 from ..messages.type_registry import Definitions
 from ..node.subscribed_topics import HandlerFactory
+from ..playback.bag_files import INCOMPLETE_STATUS, IncompleteFile
 from ..playback.bag_locations import MergedBag, find_bags, is_url, local_copy
-from ..playback.playback import Playback
+from ..playback.playback import Playback, make_incomplete_file_record
 from ..playback.worker_pools import Unfinished, run_in_processes
 from ..prolog.terms.timestamps import SECOND
 from ..testing.case_run import ProblemLog
@@ -51,7 +52,8 @@ changed, with the reason in both versions. A folder of bags stands for all bags 
   retalis diff OLD NEW BAG...              two folders
   retalis diff --git REVISION PROGRAM BAG...    a folder in git, before and after
 
-Exit status 0 if all outputs are equal, 1 if any differs or a bag or program has an error, 2 for wrong usage.
+Exit status 0 if all outputs are equal, 1 if any differs or a bag or program has an error, 2 for wrong usage, 3 if
+they are equal and a bag is incomplete.
 """
 
 
@@ -85,6 +87,7 @@ def add_parser(add_command: Callable[..., argparse.ArgumentParser]) -> None:
         action="store_true",
         help="run also the rules that cannot differ, and report their errors",
     )
+    add("--strict", action="store_true", help="refuse incomplete bags")
     add("--json", action="store_true", help="print one JSON object for each change")
     add("--junit", type=Path, metavar="FILE", help="write the results as JUnit XML, a test case for each bag")
     add_message_folders(parser.add_argument_group("message types").add_argument)
@@ -101,10 +104,11 @@ class _ComparisonTask(NamedTuple):
     message_folders: Sequence[str]
     moved_within: float
     is_full: bool
+    is_strict: bool
 
 
 class _BagResult(NamedTuple):
-    """Result for a bag: the comparison, or the error of the bag.
+    """Result for a bag: the comparison, or the error of the bag, and what is missing in it.
 
     ``is_reported`` is true if the error concerns all bags that are left, and has been printed.
     """
@@ -113,6 +117,7 @@ class _BagResult(NamedTuple):
     comparison: Optional[Comparison]
     error: str = ""
     is_reported: bool = False
+    incomplete_files: Tuple[IncompleteFile, ...] = ()
 
 
 def run(options: argparse.Namespace) -> int:
@@ -129,7 +134,9 @@ def run(options: argparse.Namespace) -> int:
         _write_junit_report(options.junit, results)
     if not options.json:
         _print_summary(results)
-    return 0 if all(_is_equal(result) for result in results) else 1
+    if not all(_is_equal(result) for result in results):
+        return 1
+    return INCOMPLETE_STATUS if any(result.incomplete_files for result in results) else 0
 
 
 def _select_versions(
@@ -172,6 +179,7 @@ def _create_tasks(
             folders,
             options.moved_within,
             options.full,
+            options.strict,
         )
         for bag in bags
     ]
@@ -241,7 +249,13 @@ def _compare_bag(task: _ComparisonTask, scratch: str) -> _BagResult:
     problems = ProblemLog(str)
     logs = _VersionLogs(ProblemLog(str), ProblemLog(str))
     try:
-        with problems.attached(), local_copy(task.bag, scratch) as path, MergedBag([path]) as bag:
+        with problems.attached(), local_copy(task.bag, scratch) as path, MergedBag(
+            [path], strict=task.is_strict
+        ) as bag:
+            # Named as the user has given it, not as the temporary copy of a URL.
+            incomplete_files = tuple(
+                file._replace(path=file.path.replace(path, task.bag)) for file in bag.incomplete_files
+            )
             comparison = compare_versions(
                 *_create_versions(task, definitions, bag, logs),
                 bag,
@@ -252,7 +266,9 @@ def _compare_bag(task: _ComparisonTask, scratch: str) -> _BagResult:
     except RetalisError as error:
         return _BagResult(task.bag, None, error.message)
     unique_problems = tuple(dict.fromkeys(problem for log in (*logs, problems) for problem in log.errors))
-    return _BagResult(task.bag, comparison._replace(problems=unique_problems))
+    return _BagResult(
+        task.bag, comparison._replace(problems=unique_problems), incomplete_files=incomplete_files
+    )
 
 
 class _VersionLogs(NamedTuple):
@@ -307,6 +323,7 @@ def _print_result(result: _BagResult, as_json: bool) -> None:
         place = "" if result.error.startswith(result.bag) else f"{result.bag}: "
         print(f"{paint('error', 'error', sys.stderr)}: {place}{result.error}", file=sys.stderr)
         return
+    _print_incomplete_files(result, as_json)
     for problem in result.comparison.problems:
         print(f"{paint('error', 'error', sys.stderr)}: {result.bag}: {problem}", file=sys.stderr)
     if as_json:
@@ -317,6 +334,13 @@ def _print_result(result: _BagResult, as_json: bool) -> None:
         for change in result.comparison.changes:
             for line in format_change(change, result.comparison.start):
                 print(f"  {line}")
+
+
+def _print_incomplete_files(result: _BagResult, as_json: bool) -> None:
+    for file in result.incomplete_files:
+        print(f"{paint('warning', 'warning', sys.stderr)}: {printable(str(file))}", file=sys.stderr)
+        if as_json:
+            print_json(make_incomplete_file_record(file))
 
 
 def format_change(change: OutputChange, start: int) -> List[str]:
@@ -362,6 +386,9 @@ def _print_summary(results: Sequence[_BagResult]) -> None:
     failed_count = len(results) - len(comparisons)
     if failed_count:
         parts.append(f"{format_count(failed_count, 'bag')} failed")
+    incomplete_count = sum(1 for result in results if result.incomplete_files)
+    if incomplete_count:
+        parts.append(f"{format_count(incomplete_count, 'bag')} incomplete")
     parts += [f"{extents[extent]} {text}" for extent, text in _EXTENT_TEXTS.items() if extents[extent]]
     print(f"{format_count(len(results), 'bag')}: {', '.join(parts)}")
 
@@ -391,6 +418,9 @@ def _write_junit_report(path: Path, results: Sequence[_BagResult]) -> None:
             message = printable(lines[0].splitlines()[0])
             failure = ElementTree.SubElement(case, "failure", message=message, type="change")
             failure.text = printable("\n".join(lines))
+        if result.incomplete_files:
+            text = "\n".join(f"warning: {file}" for file in result.incomplete_files)
+            ElementTree.SubElement(case, "system-out").text = printable(text)
     write_xml(path, suite)
 
 

@@ -3,7 +3,7 @@
 import argparse
 import sys
 from pathlib import Path
-from typing import Callable, Dict, List, Optional, Sequence
+from typing import TYPE_CHECKING, Callable, Dict, List, Optional, Sequence, Tuple
 
 from ..engine.engine import Engine
 from ..engine.engine_settings import Settings
@@ -32,10 +32,13 @@ from ..visualization.timeline import (
     read_run,
     timeline_page,
 )
-from .bag_command import add_source, create_playback, elapsed_fraction, open_bags
+from .bag_command import add_source, create_playback, elapsed_fraction, exit_status_of, open_bags
 from .command_options import add_end_of_input, add_folders, add_limits, apply_limits
 from .optional_ros_imports import installed_definitions
 from .stderr_and_progress import StderrReporter, show_progress
+
+if TYPE_CHECKING:
+    from ..playback.bag_files import IncompleteFile
 
 TEXT_SUFFIXES = ("dot", "gv")
 """Suffixes of files in the text format of Graphviz."""
@@ -177,6 +180,7 @@ def draw_run(options: argparse.Namespace) -> int:
     if suffix not in (*PAGE_SUFFIXES, *PICTURE_FORMATS):
         raise _unsupported_suffix(path, (*PAGE_SUFFIXES, *PICTURE_FORMATS))
     reporter = StderrReporter().attach()
+    incomplete_files: Sequence[IncompleteFile] = ()
     if options.run_file is not None:
         if options.bags:
             options.reject_usage("give bags or --from, not both")
@@ -187,14 +191,16 @@ def draw_run(options: argparse.Namespace) -> int:
         if not options.bags or options.program is None:
             options.reject_usage("give bags with --program, or --from")
         # An error in the program does not prevent the drawing; it determines the exit status.
-        timeline = _record_timeline(options, reporter)
+        timeline, incomplete_files = _record_timeline(options, reporter)
         title = f"{options.program.resolve().name} over {', '.join(Path(bag).name for bag in options.bags)}"
+        if incomplete_files:
+            title += " (incomplete)"
     with interruptible():
         if suffix in PAGE_SUFFIXES:
             _write_file(path, timeline_page(timeline, title))
         else:
             draw_timeline(timeline, title, path)
-    return 1 if reporter.errors else 0
+    return exit_status_of(reporter.errors, incomplete_files)
 
 
 def _read_timeline(path: Path) -> Timeline:
@@ -207,8 +213,10 @@ def _read_timeline(path: Path) -> Timeline:
         raise UsageError(f"{path} is not UTF-8 text: {error}") from error
 
 
-def _record_timeline(options: argparse.Namespace, reporter: StderrReporter) -> Timeline:
-    """Run the program over the bags, and return the timeline of the run."""
+def _record_timeline(
+    options: argparse.Namespace, reporter: StderrReporter
+) -> "Tuple[Timeline, Sequence[IncompleteFile]]":
+    """Run the program over the bags; return the timeline of the run, and the incomplete files of the bags."""
     builder = TimelineBuilder()
     with open_bags(options) as bags:
         playback = create_playback(options, reporter, bags)
@@ -228,7 +236,7 @@ def _record_timeline(options: argparse.Namespace, reporter: StderrReporter) -> T
         if options.prints_open:
             for record in open_records(playback.engine.program):
                 builder.add_record(record)
-    return builder.build()
+    return builder.build(), bags.incomplete_files
 
 
 def _unsupported_suffix(path: Optional[Path], suffixes: Sequence[str]) -> UsageError:

@@ -44,8 +44,8 @@ def add_many_bags_options(parser: argparse.ArgumentParser) -> None:
     add(
         "--parts",
         action="store_true",
-        help="play the parts of a recording by rosbag record --split, NAME_0.bag, NAME_1.bag and so on, as one run: "
-        "each continues with the state of the former one",
+        help="play the parts of a split recording, NAME_0.bag, NAME_1.bag ..., as one run: each continues with the "
+        "state of the former one",
     )
     add(
         "--resume",
@@ -55,7 +55,7 @@ def add_many_bags_options(parser: argparse.ArgumentParser) -> None:
     add(
         "--format",
         choices=FORMATS,
-        help="format of the results; --output is then the folder or URL for one file per bag: a bag of the published "
+        help="format of the results in the folder or URL --output, one file per bag: a bag of the published "
         "messages, or the output of --json, as lines or as Parquet (bag; with --json: jsonl)",
     )
 

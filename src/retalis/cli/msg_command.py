@@ -15,6 +15,7 @@ from ..playback.bag_locations import open_bag
 from .command_options import add_chunk_limit_option
 from .node_status_tables import format_table
 from .optional_ros_imports import installed_definitions
+from .stderr_and_progress import warnings_on_stderr
 
 FORMATS: Dict[str, Callable[[Definition, Definitions], str]] = {
     "term": lambda definition, definitions: format_positional(definition),
@@ -94,7 +95,7 @@ def _print_topics(options: argparse.Namespace) -> None:
     """Print the topics of a bag with their types and numbers of messages, sorted by name."""
     message_counts: Dict[Tuple[str, str], int] = {}
     problems: Dict[Tuple[str, str], str] = {}
-    with open_bag(options.bag, options.max_chunk_megabytes) as bag:
+    with warnings_on_stderr(), open_bag(options.bag, options.max_chunk_megabytes) as bag:
         # A topic has a connection for each publisher.
         for topic in bag.topics:
             key = (topic.name, topic.type)
@@ -132,7 +133,7 @@ def _add_types_of_bag(definitions: Definitions, path: Path, type_name: str, max_
     Raises:
         UsageError: if the definition of type ``type_name`` is malformed; malformed definitions of others are skipped.
     """
-    with open_bag(path, max_chunk_megabytes) as bag:
+    with warnings_on_stderr(), open_bag(path, max_chunk_megabytes) as bag:
         for unreadable in bag.unreadable:
             if unreadable.type == type_name:
                 raise UsageError(f"{path}: {unreadable.problem}")

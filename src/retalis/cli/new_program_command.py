@@ -13,6 +13,7 @@ from ..playback.bag_locations import open_bag
 from .command_options import add_message_folders, message_folders
 from .optional_ros_imports import installed_definitions
 from .program_template import make_files, name_topics
+from .stderr_and_progress import warnings_on_stderr
 
 DESCRIPTION = """\
 Create a folder with a program: its three files, with a rule for each topic that fires at once, a test that passes,
@@ -114,7 +115,7 @@ def _read_bag(path: Path, definitions: Definitions) -> List[Tuple[str, Definitio
         UsageError: if there are none.
     """
     topics: Dict[str, Definition] = {}
-    with open_bag(path) as bag:
+    with warnings_on_stderr(), open_bag(path) as bag:
         for topic in bag.topics:
             if topic.name in topics or topic.name in _IGNORED_TOPICS:
                 continue

@@ -289,13 +289,12 @@ class _TestRun:
             print(f"  alone: {_format_command(case, self._options)}")
         elif self._options.verbose:
             print(f"passed {name}")
-        if self._options.verbose:
-            for warning in result.warnings:
-                # The cases of a program have the same warnings.
-                key = (case.program.folder, warning)
-                if key not in self._printed_warnings:
-                    self._printed_warnings.add(key)
-                    print(f"  {paint('warning', 'warning', sys.stdout)}: {warning}")
+        for warning in result.warnings if self._options.verbose else result.incomplete_files:
+            # The cases of a program have the same warnings.
+            key = (case.program.folder, warning)
+            if key not in self._printed_warnings:
+                self._printed_warnings.add(key)
+                print(f"  {paint('warning', 'warning', sys.stdout)}: {warning}")
 
     def _print_summary(
         self, passed: int, failed: int, skipped: int, file_errors: Sequence[FileError]

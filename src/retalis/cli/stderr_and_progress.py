@@ -117,6 +117,16 @@ class LimitedText(io.StringIO):
         return super().getvalue() + truncation_note
 
 
+@contextmanager
+def warnings_on_stderr() -> Iterator[None]:
+    """Print the warnings of the package to standard error in a block of a command without a reporter."""
+    StderrReporter().attach()
+    try:
+        yield
+    finally:
+        detach_reporters()
+
+
 UPDATE_INTERVAL_SECONDS = 0.1
 """Minimum time in seconds between two updates of the bar."""
 

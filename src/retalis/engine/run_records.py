@@ -89,8 +89,20 @@ class OutputRecord(TypedDict):
     time: int
 
 
+class IncompleteFileRecord(TypedDict):
+    """A file of a bag that a crash has cut; see `IncompleteFile`."""
+
+    incomplete: str
+    problem: str
+    messages: int
+    position: Optional[int]
+    unread_bytes: int
+    missing_bytes: int
+    end: int
+
+
 OpenRecord = Union[OpenStateRecord, OpenWindowRecord]
-RunRecord = Union[EventRecord, WaitRecord, MemoryStateRecord, OpenRecord, OutputRecord]
+RunRecord = Union[EventRecord, WaitRecord, MemoryStateRecord, OpenRecord, OutputRecord, IncompleteFileRecord]
 
 LATER_FIELDS = frozenset(("name",))
 """Fields that records of earlier versions lack."""

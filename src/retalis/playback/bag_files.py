@@ -5,6 +5,9 @@ from typing import NamedTuple, Optional
 from ..foundation.errors import format_count
 from ..prolog.terms.timestamps import SECOND
 
+INCOMPLETE_STATUS = 3
+"""Exit status of a command that has read an incomplete bag up to the break."""
+
 
 class IncompleteFile(NamedTuple):
     """A file of a bag that was read up to a break, or whose recorder did not close it.

@@ -16,6 +16,7 @@ A `RunRecorder` observes a playback and creates flat records of its events, outp
 They are written as JSON lines, drawn as a timeline, or written to a Parquet file by `RunTable`, one row per record.
 """
 
+import json
 import logging
 from collections import Counter
 from contextlib import nullcontext
@@ -42,7 +43,14 @@ from typing import (
 from ..engine.engine import Engine
 from ..engine.engine_settings import Settings
 from ..engine.event_input import TopicRequest
-from ..engine.run_records import EventRecord, MemoryStateRecord, OutputRecord, RunRecord, WaitRecord
+from ..engine.run_records import (
+    EventRecord,
+    IncompleteFileRecord,
+    MemoryStateRecord,
+    OutputRecord,
+    RunRecord,
+    WaitRecord,
+)
 from ..engine.runtime.clock_skew import ClockSkewMonitor
 from ..engine.runtime.problem_reports import Reports
 from ..events.knowledge.knowledge_base import MEMORY_EVENTS
@@ -81,6 +89,7 @@ from ..node.subscribed_topics import (
 from ..node.transport import MessageSource
 from ..prolog.syntax.term_writer import canonical_text
 from ..prolog.terms.types import Term
+from .bag_files import IncompleteFile
 from .bag_locations import Bag
 from .bag_transport import BagTransport, RefusedConnection, list_topic_names
 from .decompression import describe_error
@@ -714,6 +723,19 @@ def make_output_record(output: Output) -> OutputRecord:
     )
 
 
+def make_incomplete_file_record(file: IncompleteFile) -> IncompleteFileRecord:
+    """Return the record of a file of a bag that a crash has cut."""
+    return IncompleteFileRecord(
+        incomplete=file.path,
+        problem=file.problem,
+        messages=file.messages,
+        position=file.position,
+        unread_bytes=file.unread_bytes,
+        missing_bytes=file.missing_bytes,
+        end=file.end,
+    )
+
+
 _ROW_GROUP_SIZE = 10_000
 """Number of rows in a row group."""
 
@@ -732,9 +754,14 @@ _OTHER_COLUMNS = {
 }
 """Columns of outputs, and the additional columns of other records."""
 
+INCOMPLETE_FILES_KEY = "retalis.incomplete_files"
+"""Key of the metadata of a Parquet file with the incomplete files of the bag, a JSON list of records."""
+
 
 class RunTable:
     """A new Parquet file with the records of a playback; a context manager. The file is complete when it is closed.
+
+    Records of incomplete files, which come before others, become metadata of the file.
 
     Args:
         path: path of the file; an existing file is replaced.
@@ -763,16 +790,31 @@ class RunTable:
         self._schema: Any = pyarrow.schema(
             [(name, arrow_types[column_type]) for name, column_type in columns.items()]
         )
-        self._writer: Any = parquet.ParquetWriter(str(path), self._schema)
+        self._create_writer: Callable[[], Any] = lambda: parquet.ParquetWriter(str(path), self._schema)
+        self._writer: Any = None
+        self._incomplete_files: List[Mapping[str, Any]] = []
         self._records: List[Mapping[str, Any]] = []
 
     def write(self, record: Mapping[str, Any]) -> None:
-        """Write a record as a row."""
+        """Write a record as a row, or into the metadata of the file."""
+        if "incomplete" in record:
+            self._incomplete_files.append(record)
+            return
         self._records.append(record)
         if len(self._records) >= _ROW_GROUP_SIZE:
             self._flush()
 
+    def _open_writer(self) -> None:
+        """Create the file, whose metadata is complete."""
+        if self._writer is None:
+            if self._incomplete_files:
+                self._schema = self._schema.with_metadata(
+                    {INCOMPLETE_FILES_KEY: json.dumps(self._incomplete_files)}
+                )
+            self._writer = self._create_writer()
+
     def _flush(self) -> None:
+        self._open_writer()
         # Column by column, as Parquet stores them; a missing field becomes null.
         columns = [
             self._arrow.array([record.get(field.name) for record in self._records], field.type)
@@ -784,10 +826,12 @@ class RunTable:
     def close(self) -> None:
         """Write the remaining rows and the index."""
         try:
+            self._open_writer()
             if self._records:
                 self._flush()
         finally:
-            self._writer.close()
+            if self._writer is not None:
+                self._writer.close()
 
     def __enter__(self) -> "RunTable":
         return self

@@ -49,7 +49,7 @@ from ..foundation.interrupts import check_interrupt
 from ..foundation.output_files import replace_file
 from ..foundation.ros_name_checks import strip_slashes
 from ..messages.type_definition import Definition, SerializationFormat
-from .bag_files import IncompleteFile
+from .bag_files import INCOMPLETE_STATUS, IncompleteFile
 from .decompression import MAX_CHUNK_MEGABYTES, ChunkLimit, describe_error, unpack
 from .unindexed_bag import UnindexedBag, UnindexedConnection, find_index_problem
 
@@ -249,7 +249,7 @@ class BagError(RetalisError):
 class IncompleteBagError(BagError):
     """A bag, a part of whose messages cannot be read."""
 
-    exit_status = 3
+    exit_status = INCOMPLETE_STATUS
 
 
 class Topic(NamedTuple):

@@ -89,6 +89,7 @@ class CaseResult(NamedTuple):
         coverage: parts of the program with their uses.
         only_golden_differs: whether all other expectations hold, so that the golden file may be replaced.
         outcome: outcome of a try of the fuzzer; None for other cases, and if the execution fails.
+        incomplete_files: descriptions of what is missing in the bags of the case, which are warnings, too.
     """
 
     failures: Tuple[str, ...]
@@ -98,6 +99,7 @@ class CaseResult(NamedTuple):
     coverage: Tuple[CoveredPart, ...] = ()
     only_golden_differs: bool = False
     outcome: Optional[TryOutcome] = None
+    incomplete_files: Tuple[str, ...] = ()
 
 
 class ProgramUnderTest(NamedTuple):
@@ -279,6 +281,7 @@ def run_case(
             tuple(run.coverage()),
             len(run.failures) == run.golden_failure_count,
             None if case.mutations is None else run.outcome(),
+            run.incomplete_files,
         )
     except RetalisError as error:
         failures, result = [str(error)], CaseResult((), (), 0.0)
@@ -294,6 +297,7 @@ class _CaseRun:
         failures: expectations that do not hold.
         golden_lines: actual lines of the golden file; None if the case has none.
         golden_failure_count: number of the failures that concern the golden file.
+        incomplete_files: descriptions of what is missing in the bags, which are among the warnings.
         start: start of the case in nanoseconds since the epoch.
     """
 
@@ -312,7 +316,12 @@ class _CaseRun:
         self._outputs: List[RunItem] = []
         self._events: List[RunItem] = []
         with ExitStack() as stack:
-            bags = open_bags(case, stack)
+            opening = ProblemLog(str)
+            with opening.attached():
+                bags = open_bags(case, stack)
+            self.incomplete_files = tuple(
+                printable(str(file)) for bag in bags for file in bag.bag.incomplete_files
+            )
             self.start = start_of(case, bags)
             mutator = self._mutator = MessageMutator(case.mutations or (), definitions, self.start)
             bag = create_case_bag(
@@ -325,6 +334,8 @@ class _CaseRun:
             if program is None:
                 program = load_program(case, definitions, bag, records_origins, records_coverage)
             self.playback, self.problems = program
+            # Warnings as others: a case with expected warnings fails if these are not among them.
+            self.problems.warnings += opening.warnings
             self._checks = self._create_checks()
             self._coverage = CoverageRecorder(self.playback.engine) if records_coverage else None
             with self.problems.attached():

@@ -51,6 +51,9 @@ def _make_suite(file_name: str, results: Sequence[Tuple[Case, CaseResult]]) -> E
             message = result.failures[0].splitlines()[0]
             failure = ElementTree.SubElement(element, "failure", message=printable(message), type="failure")
             failure.text = printable("\n".join(result.failures))
+        if result.incomplete_files:
+            text = "\n".join(f"warning: {description}" for description in result.incomplete_files)
+            ElementTree.SubElement(element, "system-out").text = text
     return suite
 
 
