@@ -370,6 +370,7 @@ class Engine:
     def post_identified(self, messages: Iterable[Tuple[IdentifiedMessage, Optional[int]]]) -> None:
         """Queue messages as `post_each` does, without those that the restored state contains.
 
+        >>> from retalis.engine.processed_messages import IdentifiedMessage
         >>> battery = IdentifiedMessage(functor("battery", 1)(87), "/battery", (1_500_000_000, 1))
         >>> engine = Engine()
         >>> engine.post_identified([(battery, 1_500_000_000)])

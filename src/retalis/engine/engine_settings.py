@@ -71,6 +71,11 @@ class Settings(NamedTuple):
     def check(self) -> None:
         """Check the numbers and texts.
 
+        >>> Settings(queue=-1).check()
+        Traceback (most recent call last):
+        ...
+        retalis.foundation.errors.UsageError: settings: queue: expected a whole number from 0 to 1e+20, found -1
+
         Raises:
             UsageError: if a number is negative, not finite or too large, or ``strings`` is another text.
         """

@@ -73,7 +73,7 @@ def test_negative_seconds_are_refused_except_for_none(name: str) -> None:
 
 
 def test_negative_setting_is_refused() -> None:
-    with pytest.raises(UsageError, match="max_gap takes a number of seconds from 0"):
+    with pytest.raises(UsageError, match="max_gap: expected a number from 0"):
         Engine(settings=Settings(max_gap=-5))
 
 
