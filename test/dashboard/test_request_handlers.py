@@ -28,5 +28,8 @@ def test_thread_that_does_not_start_occupies_no_slot(monkeypatch: pytest.MonkeyP
                 answers.append(await service.answer_in_thread(lambda: ErrorAnswer("x")))
         answers.append(await service.answer_in_thread(lambda: ErrorAnswer("answer")))
 
-    asyncio.run(ask())
+    # `asyncio.run` would leave this thread without an event loop.
+    loop = asyncio.new_event_loop()
+    loop.run_until_complete(ask())
+    loop.close()
     assert answers == [ErrorAnswer(BUSY_ANSWER)] * MAX_CONCURRENT_ANSWERS + [ErrorAnswer("answer")]

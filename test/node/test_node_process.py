@@ -12,10 +12,14 @@ import pytest
 from subprocess_python_path import python_path
 
 PROGRAM = """
+import signal
 import sys
 import time
 
 from retalis.node.node_process import run_node_process, wait_while
+
+# A shell starts background processes with this signal ignored.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 
 def run(shutdown):
     shutdown.callback(lambda: print("ended last", flush=True))
