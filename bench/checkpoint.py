@@ -97,7 +97,10 @@ def kill_and_go_on(kills: int) -> None:
                 command,
                 stdout=subprocess.PIPE,
                 text=True,
-                env={**os.environ, "PYTHONPATH": str(ROOT / "src")},
+                env={
+                    **os.environ,
+                    "PYTHONPATH": os.pathsep.join([str(ROOT / "src"), os.environ.get("PYTHONPATH", "")]),
+                },
             )
             assert process.stdout is not None
             if at:

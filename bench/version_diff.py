@@ -65,10 +65,12 @@ def cpu_seconds(*arguments: object) -> float:
     Raises:
         SystemExit: if it fails.
     """
+    # Packages such as rosbags may be in a folder that only PYTHONPATH names.
+    search_path = os.pathsep.join(filter(None, (str(SOURCE), os.environ.get("PYTHONPATH"))))
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
     run = subprocess.run(
         [sys.executable, "-m", "retalis", *map(str, arguments)],
-        env={**os.environ, "PYTHONPATH": str(SOURCE)},
+        env={**os.environ, "PYTHONPATH": search_path},
         capture_output=True,
         text=True,
     )
