@@ -4,6 +4,7 @@ The tests are skipped where rclpy, or the generated classes of this package, are
 """
 
 import fcntl
+import itertools
 import os
 import socket
 import tempfile
@@ -18,6 +19,10 @@ import retalis
 
 FIRST_PORT, PORTS_PER_DOMAIN, MAX_DOMAIN = 7400, 250, 100
 """UDP ports of DDS: those of a domain begin at FIRST_PORT + PORTS_PER_DOMAIN * domain."""
+
+
+_domain_numbers = itertools.count(os.getpid())
+"""Each test has another domain: a participant that has the identity of an ended one is not discovered for a while."""
 
 
 def add_generated_classes() -> None:
@@ -44,9 +49,8 @@ def is_unused(domain: int) -> bool:
 @contextmanager
 def reserve_domain() -> Iterator[int]:
     """Reserve an unused domain, also from other processes that run tests at the same time."""
-    first = os.getpid() % MAX_DOMAIN
-    for offset in range(MAX_DOMAIN):
-        domain = 1 + (first + offset) % MAX_DOMAIN
+    for _ in range(MAX_DOMAIN):
+        domain = 1 + next(_domain_numbers) % MAX_DOMAIN
         with (Path(tempfile.gettempdir()) / f"retalis_test_domain_{domain}.lock").open("w") as lock:
             try:
                 fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
