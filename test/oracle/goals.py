@@ -213,8 +213,10 @@ def solve(goal: Term, bindings: Bindings, facts: Optional[Dict[str, Term]] = Non
 
 
 def _standard(term: Term) -> Any:
-    """Return a key of the standard order of numbers and atoms: by value, a float before an equal integer."""
-    if term.__class__ is Atom:
+    """Return a key of the standard order: numbers (a float before an equal integer), atoms, compound terms."""
+    if isinstance(term, tuple):
+        return (2, len(term), term[0].name, [_standard(argument) for argument in term[1:]])
+    if isinstance(term, Atom):
         return (1, term.name, 0)
     return (0, term, int(term.__class__ is int))
 
