@@ -83,11 +83,11 @@ def network(domain: int) -> Iterator[Any]:
 
 
 @pytest.fixture
-def unlimited_discovery(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Let commands of this process wait for a node as long as a busy machine takes; its discovery ends the wait."""
+def long_discovery(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let commands of this process wait for a node on a busy machine; its discovery ends the wait."""
     from retalis.ros2 import rclpy_client  # noqa: PLC0415 - rclpy is optional
 
-    monkeypatch.setattr(rclpy_client, "DISCOVERY_SECONDS", 3600.0)
+    monkeypatch.setattr(rclpy_client, "DISCOVERY_SECONDS", 120.0)
 
 
 @pytest.fixture

@@ -28,7 +28,7 @@ from retalis.node.text_exchange import INPUT, OUTPUT
 from retalis.ros2 import rclpy_client
 from retalis.ros2.rclpy_client import RclpyClient
 
-pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("unlimited_discovery")]
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("long_discovery")]
 
 
 @pytest.fixture

@@ -13,7 +13,7 @@ from ros2.rclpy_nodes import Network, wait_until
 
 from retalis.cli.command_line import main
 
-pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("unlimited_discovery")]
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("long_discovery")]
 
 
 def test_cases_run_on_node(
