@@ -27,6 +27,7 @@ from .stream_operators import ELEMENTS, KeyBounds, StreamElement, StreamOutput
 from .windows import (
     MAX_TRACKED_ELEMENTS,
     OpenWindow,
+    SteppedWindow,
     StoredWindow,
     Window,
     elements_of_windows,
@@ -410,7 +411,7 @@ class HeldSlidingWindow(HeldWindow):
         self._limit_reference_times()
 
 
-class HeldHoppingWindow(HeldWindow):
+class HeldHoppingWindow(SteppedWindow, HeldWindow):
     """Window over the values of ``span`` ns; emits at multiples of ``slide`` ns since 1970 while a value lasts.
 
     Args:
@@ -436,19 +437,6 @@ class HeldHoppingWindow(HeldWindow):
         self._latest_now = BEFORE_ALL_INSTANTS
         self._future_elements: List[Tuple[int, int, StreamElement]] = []
         """Heap of the elements that no window has contained yet, by their ends."""
-
-    def __len__(self) -> int:
-        return self.element_count + len(self._future_elements)
-
-    @property
-    def future_elements(self) -> List[StreamElement]:
-        """The elements that no window has contained yet, by their ends."""
-        return [element for _, _, element in sorted(self._future_elements, key=lambda entry: entry[:2])]
-
-    @future_elements.setter
-    def future_elements(self, elements: Sequence[StreamElement]) -> None:
-        self._future_elements = [(element.end, element.order, element) for element in elements]
-        heapq.heapify(self._future_elements)
 
     def can_end_next(self, state: State) -> bool:
         """Return whether the end of the next window in a state is a multiple of the step and follows its values.
@@ -482,13 +470,6 @@ class HeldHoppingWindow(HeldWindow):
             self.next_deadline = window_end
         return []
 
-    def drop_oldest(self) -> List[StreamOutput]:
-        """See `StreamOperator.drop_oldest`."""
-        if self.states:
-            return super().drop_oldest()
-        heapq.heappop(self._future_elements)
-        return []
-
     def return_to(self, instant: int) -> None:
         """See `StreamOperator.return_to`."""
         super().return_to(instant)
@@ -507,13 +488,6 @@ class HeldHoppingWindow(HeldWindow):
             ]
             self._keep_elements_before(next_end)
             self.next_deadline = next_end if self.states or self._future_elements else None
-
-    def advance_to(self, instant: int) -> List[StreamOutput]:
-        """See `StreamOperator.advance_to`."""
-        outputs: List[StreamOutput] = []
-        while self.next_deadline is not None and self.next_deadline <= instant:
-            outputs += self._emit_at(self.next_deadline)
-        return outputs
 
     def _emit_at(self, instant: int) -> List[StreamOutput]:
         while self._future_elements and self._future_elements[0][0] < instant:

@@ -769,26 +769,14 @@ def _get_order(entry: Tuple[int, int, StreamElement]) -> int:
     return entry[1]
 
 
-class HoppingWindow(_SingleWindow):
-    """Window of the elements that ended in the last ``span`` ns; emits at multiples of ``slide`` ns since 1970."""
+class SteppedWindow(Window):
+    """Part of the windows that end at the multiples of a step: elements that no window has contained yet.
 
-    STATE = StateFields(
-        *Window.STATE.extended(
-            field("_latest_now", INSTANT),
-            field("future_elements", ELEMENTS),
-            constraint("the end of the next window", lambda window, state: window.can_end_next(state)),
-        )
-    )
+    An element waits until the first window ends that contains it, because its end may lie ahead of the clock. A
+    subclass creates the heap of these elements, by their ends.
+    """
 
-    emits_at_deadlines = True
-
-    def __init__(self, make_accumulators: AccumulatorFactory, span: int, slide: int):
-        super().__init__(make_accumulators)
-        self.span = span
-        self.slide = slide
-        self._latest_now = BEFORE_ALL_INSTANTS
-        self._future_elements: List[Tuple[int, int, StreamElement]] = []
-        self._by_end: List[Tuple[int, int, StreamElement]] = []
+    _future_elements: List[Tuple[int, int, StreamElement]]
 
     def __len__(self) -> int:
         return self.element_count + len(self._future_elements)
@@ -809,6 +797,39 @@ class HoppingWindow(_SingleWindow):
     def future_elements(self, elements: Sequence[StreamElement]) -> None:
         self._future_elements = [(element.end, element.order, element) for element in elements]
         heapq.heapify(self._future_elements)
+
+    def advance_to(self, instant: int) -> List[StreamOutput]:
+        """See `StreamOperator.advance_to`."""
+        outputs: List[StreamOutput] = []
+        while self.next_deadline is not None and self.next_deadline <= instant:
+            outputs += self._emit_at(self.next_deadline)
+        return outputs
+
+    def _emit_at(self, instant: int) -> List[StreamOutput]:
+        """Return the results of the windows that end at an instant, and set the next deadline."""
+        raise NotImplementedError
+
+
+class HoppingWindow(SteppedWindow, _SingleWindow):
+    """Window of the elements that ended in the last ``span`` ns; emits at multiples of ``slide`` ns since 1970."""
+
+    STATE = StateFields(
+        *Window.STATE.extended(
+            field("_latest_now", INSTANT),
+            field("future_elements", ELEMENTS),
+            constraint("the end of the next window", lambda window, state: window.can_end_next(state)),
+        )
+    )
+
+    emits_at_deadlines = True
+
+    def __init__(self, make_accumulators: AccumulatorFactory, span: int, slide: int):
+        super().__init__(make_accumulators)
+        self.span = span
+        self.slide = slide
+        self._latest_now = BEFORE_ALL_INSTANTS
+        self._future_elements: List[Tuple[int, int, StreamElement]] = []
+        self._by_end: List[Tuple[int, int, StreamElement]] = []
 
     def can_end_next(self, state: State) -> bool:
         """Return whether the end of the next window in a state is a multiple of the step and follows its elements.
@@ -887,13 +908,6 @@ class HoppingWindow(_SingleWindow):
             OpenWindow(elements[0].key_values, len(elements), end - self.span, end)
             for (end, _), elements in sorted(windows.items(), key=lambda window: window[0][0])
         ]
-
-    def advance_to(self, instant: int) -> List[StreamOutput]:
-        """See `StreamOperator.advance_to`."""
-        outputs: List[StreamOutput] = []
-        while self.next_deadline is not None and self.next_deadline <= instant:
-            outputs += self._emit_at(self.next_deadline)
-        return outputs
 
     def _emit_at(self, instant: int) -> List[StreamOutput]:
         self._remove_before(instant - self.span)
