@@ -189,7 +189,7 @@ class DeclaredState(StateOwner):
         constraint(
             "states with increasing orders",
             lambda declaration, state: are_increasing_orders(
-                state["stored_open_states"], state["next_order"]
+                [open_state.order for open_state in state["stored_open_states"]], state["next_order"]
             ),
         ),
         constraint(

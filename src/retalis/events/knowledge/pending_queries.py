@@ -528,7 +528,9 @@ class PendingQueries(StateOwner):
         part("timeouts"),
         constraint(
             "queries with increasing orders",
-            lambda queries, state: are_increasing_orders(state["stored_queries"], state["next_order"]),
+            lambda queries, state: are_increasing_orders(
+                [query.order for query in state["stored_queries"]], state["next_order"]
+            ),
         ),
         constraint(
             "queries that wait for memories of the program",

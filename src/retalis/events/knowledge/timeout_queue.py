@@ -13,7 +13,6 @@ from typing import (
     Iterable,
     List,
     NamedTuple,
-    Protocol,
     Sequence,
     Set,
     Tuple,
@@ -61,17 +60,8 @@ def timeout_of(options: Term, brief: Callable[[Term], str]) -> int:
     raise UsageError(f"expected [timeout(Seconds)], found {brief(options)}")
 
 
-class Ordered(Protocol):
-    """Row with an order."""
-
-    @property
-    def order(self) -> int:
-        """The order."""
-
-
-def are_increasing_orders(rows: Sequence[Ordered], next_order: int) -> bool:
-    """Return whether the orders of rows increase, and are below the next one."""
-    orders = [row.order for row in rows]
+def are_increasing_orders(orders: Sequence[int], next_order: int) -> bool:
+    """Return whether orders increase, and are below the next one."""
     return orders == sorted(set(orders)) and all(order < next_order for order in orders)
 
 
