@@ -130,7 +130,7 @@ class MemoryPublication:
 
 
 class MemoryTimer:
-    """A timer; see `retalis.node.transport.Timer`."""
+    """A call that `MemoryTransport.call_later` has scheduled."""
 
     def __init__(self, network: Any, instant: Any, callback: Any) -> None:
         self.network, self.instant, self.callback = network, instant, callback
@@ -172,8 +172,8 @@ class MemoryTransport:
     def on_clock(self, callback: Any) -> None:
         self.clock_callbacks.append(callback)
 
-    def call_later(self, delay: Any, callback: Any) -> MemoryTimer:
-        return MemoryTimer(self.network, self.network.now + delay, callback)
+    def call_later(self, delay: Any, callback: Any) -> Any:
+        return MemoryTimer(self.network, self.network.now + delay, callback).cancel
 
     def parameters(self) -> Any:
         return dict(self._parameters)

@@ -147,13 +147,6 @@ class TopicPublication(Protocol):
         """Publish a serialized message, without waiting for subscribers. After the end of the node it is ignored."""
 
 
-class Timer(Protocol):
-    """A function that will be called once."""
-
-    def cancel(self) -> None:
-        """Do not call it, if it has not been called."""
-
-
 class Mismatch(NamedTuple):
     """A publisher and a subscriber of one topic that cannot connect.
 
@@ -296,11 +289,14 @@ class Transport(MessageTransport, Protocol):
         The calls do not overlap. Nothing is to be done for time that is not simulated.
         """
 
-    def call_later(self, delay: int, callback: Callable[[], object]) -> Timer:
+    def call_later(self, delay: int, callback: Callable[[], object]) -> Callable[[], object]:
         """Call a function once, after ``delay`` nanoseconds of the transport's time.
 
         A delay that is not positive means as soon as possible. If simulated time goes back, the function may be
         called early or late: it reads the time itself.
+
+        Returns:
+            A function that cancels the call, if it has not begun.
         """
 
     def parameters(self) -> Dict[str, Any]:

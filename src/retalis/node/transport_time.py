@@ -9,7 +9,7 @@ from ..engine.runtime.clock_epochs import ClockEpochs
 from ..engine.runtime.problem_reports import Reports
 from ..events.clock.clock import Alarm, Clock
 from ..prolog.terms.timestamps import SECOND
-from .transport import Timer, Transport
+from .transport import Transport
 
 log = logging.getLogger("retalis")
 
@@ -94,7 +94,7 @@ class HostClock(Clock):
         self._epoch = 0
         self._is_resumed = False
         self._wake_engine: Optional[Callable[[], object]] = None
-        self._timer: Optional[Timer] = None
+        self._cancel_timer: Optional[Callable[[], object]] = None
         self._timer_instant: Optional[int] = None
 
     def start(self, wake_engine: Callable[[], object], is_resumed: bool = False) -> None:
@@ -153,17 +153,17 @@ class HostClock(Clock):
             return
         instant = self.next_alarm()
         # `_wake` may reset both in another thread.
-        timer, timer_instant = self._timer, self._timer_instant
+        cancel_timer, timer_instant = self._cancel_timer, self._timer_instant
         if instant is None or (timer_instant is not None and timer_instant <= instant):
             return
-        if timer is not None:
-            timer.cancel()
+        if cancel_timer is not None:
+            cancel_timer()
         self._timer_instant = instant
         delay = max(MIN_TIMER_NANOSECONDS, instant - self.now())
-        self._timer = self._transport.call_later(delay, self._wake)
+        self._cancel_timer = self._transport.call_later(delay, self._wake)
 
     def _wake(self) -> None:
-        self._timer = self._timer_instant = None
+        self._cancel_timer = self._timer_instant = None
         if self._wake_engine is not None:
             self._wake_engine()
 

@@ -179,19 +179,6 @@ class RospyPublication:
         self._startup_queue.send(_LENGTH.pack(len(message)) + message)
 
 
-class RospyTimer:
-    """A timer of ROS time, simulated or not."""
-
-    def __init__(self, delay: int, callback: Callable[[], object]):
-        self._timer = rospy.Timer(
-            rospy.Duration(0, delay), lambda event: callback(), oneshot=True, reset=True
-        )
-
-    def cancel(self) -> None:
-        """See `Timer`."""
-        self._timer.shutdown()
-
-
 class RospyTransport:
     """rospy as a transport; see `Transport`. The node must have been initialized.
 
@@ -229,9 +216,11 @@ class RospyTransport:
             rospy.Subscriber("/clock", ClockMessage, lambda message: callback(message.clock.to_nsec()))
         )
 
-    def call_later(self, delay: int, callback: Callable[[], object]) -> RospyTimer:
+    def call_later(self, delay: int, callback: Callable[[], object]) -> Callable[[], object]:
         """See `Transport`."""
-        return RospyTimer(delay, callback)
+        timer = rospy.Timer(rospy.Duration(0, delay), lambda event: callback(), oneshot=True, reset=True)
+        cancel: Callable[[], object] = timer.shutdown
+        return cancel
 
     def parameters(self) -> Dict[str, Any]:
         """See `Transport`."""

@@ -33,7 +33,7 @@ from .quality_of_service import choose_published_quality, find_mismatches, full_
 from .rclpy_service_call import RclpyServiceCalls
 from .ros_clock import CLOCK_TOPIC, CLOCK_TYPE, RosClock, replace_clock_subscription
 from .service_messages import fill_message, read_fields
-from .timers import ScheduledCall, TransportTimers
+from .timers import TransportTimers
 from .topic_publication import OwnMessages, RclpyPublication
 from .topic_subscription import RclpySubscription, TopicOptions
 
@@ -124,9 +124,9 @@ class RclpyTransport:
         """See `Transport`."""
         self._clock.on_tick(callback)
 
-    def call_later(self, delay: int, callback: Callable[[], object]) -> ScheduledCall:
+    def call_later(self, delay: int, callback: Callable[[], object]) -> Callable[[], object]:
         """See `Transport`."""
-        return self._timers.call_later(delay, callback)
+        return self._timers.call_later(delay, callback).cancel
 
     def _subscribe_clock(self) -> None:
         self.subscribe(CLOCK_TOPIC, CLOCK_TYPE, lambda source: _ClockReceiver(self._clock), queue_size=10)

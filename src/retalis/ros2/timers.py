@@ -16,7 +16,7 @@ _MIN_SCHEDULED = 1000
 
 
 class ScheduledCall:
-    """A function that will be called once; see `Timer`.
+    """A function that will be called once.
 
     Attributes:
         callback: the function; None after it was called or canceled.
@@ -28,7 +28,7 @@ class ScheduledCall:
         self.callback: Optional[Callable[[], object]] = callback
 
     def cancel(self) -> None:
-        """See `Timer`."""
+        """Do not call it, if it has not been called."""
         self.callback = None
 
 
