@@ -8,7 +8,7 @@ send texts; the texts; time; reports on the state.
 import logging
 import threading
 import time
-from typing import Callable, ContextManager, Dict, List, Mapping, Optional, Protocol, Sequence, Set, Tuple
+from typing import Callable, ContextManager, Dict, List, Mapping, Optional, Sequence, Set, Tuple
 
 from ..engine.engine import Engine
 from ..engine.event_input import TopicRequest
@@ -69,13 +69,10 @@ MAX_INTERFACE_WAIT_SECONDS = 5.0
 _INTERFACE_CHECK_SECONDS = 0.05
 
 
-class InterfaceNode(Protocol):
-    """Another node that offers the services for input topics, in place of the host."""
+ConnectInterface = Callable[[Engine, SubscribedTopics], Sequence[Callable[[TopicRequest], object]]]
+"""Starts the exchange with the node that offers the services for input topics in place of the host.
 
-    def connect(
-        self, engine: Engine, subscribed: SubscribedTopics
-    ) -> Sequence[Callable[[TopicRequest], object]]:
-        """Start the exchange with it; return the functions to call for each topic that a goal requests."""
+Returns the functions to call for each topic that a goal requests."""
 
 
 class ProgramHost:
@@ -84,13 +81,18 @@ class ProgramHost:
     Args:
         context: transport, parameters and what the parts share.
         texts: exchange of events and outputs as text.
-        interface: the node that offers the services for input topics; None if the host does.
+        connect_interface: connects the node that offers the services for input topics; None if the host does.
 
     Attributes:
         engine: the engine.
     """
 
-    def __init__(self, context: HostContext, texts: TextExchange, interface: Optional[InterfaceNode] = None):
+    def __init__(
+        self,
+        context: HostContext,
+        texts: TextExchange,
+        connect_interface: Optional[ConnectInterface] = None,
+    ):
         transport, parameters = context.transport, context.parameters
         self._context = context
         self._transport = transport
@@ -145,8 +147,8 @@ class ProgramHost:
         if not checkpoint.is_resumed:
             self._load()
         self._log_mistakes(self._topics)
-        self._open_topics(outputs, requests, interface)
-        self._offer_services(interface is None)
+        self._open_topics(outputs, requests, connect_interface)
+        self._offer_services(connect_interface is None)
         locks = texts.receive_events(self._subscribed.subscribe_texts, self.engine.post_text)
         self._follow_time(skew, locks)
         log.info("%s: %s", parameters.program, self.engine.summary())
@@ -211,7 +213,7 @@ class ProgramHost:
     # ---- topics
 
     def _open_topics(
-        self, outputs: OutputRelay, requests: RequestQueue, interface: Optional[InterfaceNode]
+        self, outputs: OutputRelay, requests: RequestQueue, connect_interface: Optional[ConnectInterface]
     ) -> None:
         """Publish and subscribe the topics of the program; messages arrive from here on."""
         receivers = [self._send_text]
@@ -225,8 +227,8 @@ class ProgramHost:
         requests.start(
             *(
                 (self._subscribed.try_to_subscribe,)
-                if interface is None
-                else interface.connect(self.engine, self._subscribed)
+                if connect_interface is None
+                else connect_interface(self.engine, self._subscribed)
             )
         )
 

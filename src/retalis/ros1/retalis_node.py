@@ -21,7 +21,7 @@ from .text_topics import RospyTextExchange
 
 
 class InterfaceLink:
-    """The exchange with the node ``retalis_ros_interface``; see `InterfaceNode`.
+    """The exchange with the node ``retalis_ros_interface``.
 
     Args:
         parameters: parameters of this node.
@@ -34,7 +34,7 @@ class InterfaceLink:
         self._parts: List[Any] = []
 
     def connect(self, engine: Engine, subscribed: SubscribedTopics) -> List[Callable[[TopicRequest], object]]:
-        """See `InterfaceNode`."""
+        """Start the exchange; see `ConnectInterface`."""
         publisher = SubscriptionPublisher()
         if self._parameters.uses_texts:
             self._parts.append(ProjectionPublisher(engine))
@@ -51,8 +51,8 @@ def create_node(parameters: Parameters) -> ProgramHost:
     """Return the running node."""
     reports = Reports()
     context = HostContext(RospyTransport(reports), parameters, reports)
-    interface = None if parameters.embedded else InterfaceLink(parameters, reports)
-    return ProgramHost(context, RospyTextExchange(context), interface)
+    connect_interface = None if parameters.embedded else InterfaceLink(parameters, reports).connect
+    return ProgramHost(context, RospyTextExchange(context), connect_interface)
 
 
 def main() -> int:
