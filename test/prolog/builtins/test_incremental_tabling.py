@@ -172,14 +172,13 @@ def test_table_depends_on_reads_of_complete_table(logic: PrologSystem) -> None:
 
 
 def test_change_during_evaluation_outdates_table() -> None:
-    class Switch:
-        def version(self, part: Any) -> str:
-            return "off"
+    def version_of(part: Any) -> str:
+        return "off"
 
-    table, switch = Table(True), Switch()
-    table.add_reads({(switch, None): "off"})
+    table = Table(True)
+    table.add_reads({(version_of, None): "off"})
     assert not table.is_outdated
-    table.add_reads({(switch, None): "on"})
+    table.add_reads({(version_of, None): "on"})
     assert table.is_outdated
 
 

@@ -625,12 +625,12 @@ class StateRegistry:
         """
         if state.__class__ is Var:
             if self._tables.active:
-                self._tables.record_read(self, None)
+                self._tables.record_read(self.version, None)
             return list(self._declarations.values()), None
         callable_of(state)
         key = state[0] if state.__class__ is tuple else state.functor
         if self._tables.active:
-            self._tables.record_read(self, key)
+            self._tables.record_read(self.version, key)
         declarations = self.declarations_with_functor_of(state)
         if not declarations:
             names = {functor.name: functor for functor in self._declarations_by_functor}

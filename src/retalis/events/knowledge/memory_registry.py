@@ -117,7 +117,7 @@ class MemoryInstances:
         except ValueError:
             return None
         if self._active_tables:
-            self._tables.record_read(self, key)
+            self._tables.record_read(self.version, key)
         return self.instances.get(key)
 
     def read_all(self) -> List[MemoryInstance]:
@@ -128,7 +128,7 @@ class MemoryInstances:
         """
         if self._active_tables:
             for key in (None, *self.instances):
-                self._tables.record_read(self, key)
+                self._tables.record_read(self.version, key)
         if isinstance(self.instances, CountedInstances):
             self.instances.lookup_counts.update(self.instances.keys())
         return list(self.instances.values())

@@ -332,7 +332,7 @@ class Transforms:
             if not self.is_required:
                 self.require()
             if active_tables:
-                self._tables.record_read(self, None)
+                self._tables.record_read(self.version, None)
             pose_in_target = lookup(target_name, source_name, instant)
             if pose_in_target is None:
                 self._report_unknown(target_name, source_name)
@@ -362,7 +362,7 @@ class Transforms:
         target_name, source_name = self._frame_name(target), self._frame_name(source)
         self.require()
         if self._active_tables:
-            self._tables.record_read(self, None)
+            self._tables.record_read(self.version, None)
         instant = int(instant_of(time))
         fault = self.buffer.find_fault(target_name, source_name, instant)
         if fault is None:

@@ -27,7 +27,7 @@ An answer holds the values of the call's unbound variables in the order of their
 these variables, which cannot fail, so no unification is needed.
 """
 
-from typing import Any, Callable, Dict, Hashable, List, NamedTuple, Optional, Protocol, Sequence, Set, Tuple
+from typing import Any, Callable, Dict, Hashable, List, NamedTuple, Optional, Sequence, Set, Tuple
 
 from ..compiler.clause_nodes import ARROW, SEMICOLON
 from ..database.predicate import Predicate
@@ -120,14 +120,10 @@ def _parse_predicate_name(predicate: Term, arity: int) -> str:
     return str(name.name)
 
 
-class VersionedSource(Protocol):
-    """Data with versions that an incremental table may read: a predicate, the memories or the states."""
+VersionOf = Callable[[Hashable], object]
+"""Returns a value that differs after each change of a part of a source: a predicate, the memories or the states."""
 
-    def version(self, key: Hashable, /) -> object:
-        """Return a value that differs after each change of a part of the data."""
-
-
-Reads = Dict[Tuple[VersionedSource, Hashable], object]
+Reads = Dict[Tuple[VersionOf, Hashable], object]
 """Parts of sources that an evaluation has read, with their versions at the first read."""
 
 _CHANGED = object()
@@ -229,7 +225,7 @@ class Table:
     def is_outdated(self) -> bool:
         """True if data that an incremental table has read has changed since."""
         reads = self.read_versions or {}
-        return any(source.version(key) != version for (source, key), version in reads.items())
+        return any(version_of(key) != version for (version_of, key), version in reads.items())
 
     def add_reads(self, reads: Reads) -> None:
         """Add the reads of another table to those of an incremental table."""
@@ -301,11 +297,11 @@ class Tables:
             self.by_call.clear()
             self._drop_threshold = _MIN_TABLES_BEFORE_DROP
 
-    def record_read(self, source: VersionedSource, key: Hashable) -> None:
+    def record_read(self, version_of: VersionOf, key: Hashable) -> None:
         """Record that part of a source is about to be read. Must be called only while a table is active."""
         reads = self.active[-1].read_versions
-        if reads is not None and (source, key) not in reads:
-            reads[source, key] = source.version(key)
+        if reads is not None and (version_of, key) not in reads:
+            reads[version_of, key] = version_of(key)
 
     def observe(self, predicate: Predicate) -> None:
         """Record reads of a predicate's clauses in incremental tables from now on."""
@@ -317,7 +313,7 @@ class Tables:
     def record_predicate_read(self, predicate: Predicate) -> None:
         """Record that the clauses of a predicate are about to be read, if a table is active."""
         if self.active:
-            self.record_read(predicate, None)
+            self.record_read(predicate.version, None)
 
     def declarations(self) -> List[Term]:
         """Return the declarations of all tabled predicates, as terms."""
