@@ -26,7 +26,7 @@ from ..events.dispatch.listeners import ListenerPhase
 from ..events.knowledge.knowledge_base import DELETE_MEMORY, MEMORIZE, SUBSCRIBE
 from ..events.program.topic_configuration import Topics, TopicType
 from ..foundation.errors import RetalisError, UsageError, format_count
-from ..foundation.garbage_collection import count_records_of
+from ..foundation.garbage_collection import add_live_records
 from ..foundation.ros_name_checks import strip_slashes
 from ..messages.transform_messages import TransformMessage
 from ..messages.type_definition import SerializationFormat
@@ -180,7 +180,7 @@ class Engine:
         self._foreign_sources: List[Tuple[object, ...]] = []
         """Arguments of the calls of `add_foreign`, which are repeated for a trial engine."""
         # The garbage collector counts the records as live heap, see `garbage_collection`.
-        count_records_of(self._status_reader)
+        add_live_records(self._status_reader.count_records)
 
     # ---- loading -------------------------------------------------------------------------------------
 

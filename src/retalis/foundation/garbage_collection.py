@@ -6,8 +6,8 @@ full collections that become due.
 
 import gc
 import sys
-from typing import Callable, Dict, Protocol
-from weakref import WeakSet
+from typing import Callable, Dict, Set
+from weakref import WeakMethod
 
 
 class YoungCollector:
@@ -124,26 +124,23 @@ class YoungCollector:
             gc.freeze()
 
 
-class RecordCounter(Protocol):
-    """Counter of the records of an engine, which are live heap."""
+CountRecords = Callable[[], int]
+"""Returns the number of records of an engine, which are live heap."""
 
-    def count_records(self) -> int:
-        """Return the number of records."""
-
-
-_record_counters: "WeakSet[RecordCounter]" = WeakSet()
+_record_counters: "Set[WeakMethod[CountRecords]]" = set()
 
 
 def _count_records() -> int:
-    return sum(counter.count_records() for counter in list(_record_counters))
+    methods = [reference() for reference in list(_record_counters)]
+    return sum(count_records() for count_records in methods if count_records is not None)
 
 
 _collector = YoungCollector(_count_records)
 
 
-def count_records_of(counter: RecordCounter) -> None:
-    """Treat the records of an engine as live heap, as long as their counter exists."""
-    _record_counters.add(counter)
+def add_live_records(count_records: CountRecords) -> None:
+    """Treat the records that a method counts as live heap, as long as its object exists."""
+    _record_counters.add(WeakMethod(count_records, _record_counters.discard))
 
 
 def limit_gc_pauses() -> None:
