@@ -89,9 +89,7 @@ def test_ros2_name_of_received_type_is_shortened() -> None:
 def test_installed_type_is_found_by_ros2_name() -> None:
     definitions = Definitions()
     assert definitions.misspelt("std_msgs/msg/Strng") == "std_msgs/String"
-    installed = definitions.installed_text("std_msgs/String")
-    assert installed is not None
-    assert definitions.installed_text("std_msgs/msg/String") == installed
+    assert definitions.find("std_msgs/msg/String") == definitions.find("std_msgs/String")
 
 
 def test_other_text_for_known_name_is_not_registered() -> None:
@@ -196,7 +194,7 @@ def test_generated_class_with_module_is_inspected(tmp_path: Path) -> None:
     installed = types_with_class(tmp_path, inspect_class)
     registry = Definitions(installed)
     assert registry.find("pkg/Type").fields[1].type == "pkg/Inner"
-    assert registry.installed_text("pkg/Type") == (STAMPED, "/somewhere/pkg/msg/_Type.py")
+    assert installed.text("pkg/Type") == (STAMPED, "/somewhere/pkg/msg/_Type.py")
     assert "pkg/Other" not in registry
     assert "antigravity/Type" not in registry
     assert set(inspected) == {"pkg/Type"}

@@ -717,15 +717,6 @@ class Definitions:
             encoder = self._encoders.store(key, new_encoder, size)
         return encoder
 
-    def installed_text(self, name: str) -> Optional[Tuple[str, str]]:
-        """Return the text of an installed type and its source, or None.
-
-        >>> text, where = Definitions().installed_text("std_msgs/String")
-        >>> text.split()
-        ['string', 'data']
-        """
-        return self._installed.text(ros1_type_name(name))
-
     def misspelt(self, name: str) -> str:
         """Return a known type with a similar name, as a suggestion for an unknown one; "" if there is none.
 
