@@ -92,7 +92,6 @@ class EventOperator(NamedTuple):
         can_share_event: whether a single event could be both sides if nothing excluded it.
         joins_all_left: whether a right side matches all left sides that fit, under every consumption policy.
         no_match_text: explanation if no pair matches.
-        may_lie_between: for an absence, whether it may be between the two sides of a sequence.
         notation: the notation, for operators in functional notation only.
         confused_words: words that are no operators, but are often used in place of this one.
         advice: what to write in place of these words.
@@ -120,7 +119,6 @@ class EventOperator(NamedTuple):
     can_share_event: bool = True
     joins_all_left: bool = False
     no_match_text: str = "no pair fits"
-    may_lie_between: bool = False
     notation: str = ""
     confused_words: Tuple[str, ...] = ()
     advice: str = ""
@@ -316,7 +314,6 @@ EVENT_OPERATORS: Tuple[EventOperator, ...] = (
         1031,
         allows_event_name=False,
         allows_fact_name=False,
-        may_lie_between=True,
         table_rows=(
             PatternTableRow(
                 "`(P seq Q) cnot R`", "P happened, then Q, and no R entirely between them", "[s1,e2]"
