@@ -109,16 +109,14 @@ def store_only(side: MatchSide) -> Emit:
 def join_one_partner(
     side: MatchSide,
     newest: bool,
-    consumes: bool,
     emit: Emit,
     completed: Optional[Dict[Hashable, None]] = None,
 ) -> Emit:
-    """Return the action for a match that joins with one partner.
+    """Return the action for a match that joins with one partner and consumes it.
 
     Args:
         side: the operand at which the match arrives.
         newest: whether the newest partner that satisfies the join is chosen, else the oldest.
-        consumes: whether the partner is consumed.
         emit: receives the results.
         completed: the events that have completed a pair as the right operand, if one event can be in both operands;
             else None.
@@ -132,7 +130,7 @@ def join_one_partner(
     key_of = own_buffer.compute_key
     newest_partners = other_buffer.newest
     store = own_buffer.add if side.store is None else side.store
-    finish_join = _finish_join(side, consumes, emit, completed)
+    finish_join = _finish_join(side, emit, completed)
     join_first_of = _join_first_of(side, finish_join)
     try_others = _join_other_than(side, newest, join_first_of)
 
@@ -174,7 +172,7 @@ def join_one_of_others(side: MatchSide, newest: bool, emit: Emit) -> _JoinOtherT
 
     Fused code tries the first candidate itself and calls this action if that one does not satisfy the join.
     """
-    return _join_other_than(side, newest, _join_first_of(side, _finish_join(side, True, emit, None)))
+    return _join_other_than(side, newest, _join_first_of(side, _finish_join(side, emit, None)))
 
 
 def _join_other_than(side: MatchSide, newest: bool, join_first_of: _JoinFirstOf) -> _JoinOtherThan:
@@ -212,9 +210,7 @@ def _join_first_of(side: MatchSide, finish_join: _FinishJoin) -> _JoinFirstOf:
     return join_first_of
 
 
-def _finish_join(
-    side: MatchSide, consumes: bool, emit: Emit, completed: Optional[Dict[Hashable, None]]
-) -> _FinishJoin:
+def _finish_join(side: MatchSide, emit: Emit, completed: Optional[Dict[Hashable, None]]) -> _FinishJoin:
     """Return the action for a match and a partner that have a result; see `join_one_partner`."""
     other_buffer, stores_matched = side.other_buffer, side.stores_matched
     store = side.own_buffer.add if side.store is None else side.store
@@ -223,8 +219,7 @@ def _finish_join(
     def finish_join(
         match: PartialMatch, key: Hashable, partner: PartialMatch, result: PartialMatch, frame: Frame
     ) -> Frame:
-        if consumes:
-            other_buffer.remove(partner)
+        other_buffer.remove(partner)
         match.consumed_by = partner
         if stores_matched:
             store(match, key)

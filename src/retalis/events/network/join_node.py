@@ -348,7 +348,7 @@ class JoinNode(NetworkNode):
             if not accepts_late:
                 return left_action
             if policy.consumes_partners:
-                return join_one_partner(left, policy.prefers_newest, True, emit), self._fuse(
+                return join_one_partner(left, policy.prefers_newest, emit), self._fuse(
                     left, True, emit, options
                 )
             return join_all_at_once(left, False, emit), None
@@ -364,13 +364,13 @@ class JoinNode(NetworkNode):
         completed_events = self.completed if self._can_be_both_operands and is_unordered else None
         _bind(
             self.right,
-            join_one_partner(right, policy.prefers_newest, True, emit, completed_events),
+            join_one_partner(right, policy.prefers_newest, emit, completed_events),
             options,
             fuse,
         )
         if not is_unordered and not accepts_late:
             return left_action
-        join_left = join_one_partner(left, policy.prefers_newest, True, emit, completed_events)
+        join_left = join_one_partner(left, policy.prefers_newest, emit, completed_events)
         # The event of a right operand is stored when it has been tried as a left operand too; see `_store_later`.
         if right.store and is_unordered:
             return self._store_deferred_first(join_left), None
