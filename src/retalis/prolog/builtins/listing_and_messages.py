@@ -50,7 +50,7 @@ def format_message(machine: Machine, message: Term) -> str:
     """Return the text of a message."""
     if message.__class__ is tuple:
         if message[0] is _FORMAT:
-            return format_to_text(machine, message[1], message[2], 0)
+            return format_to_text(machine, message[1], message[2])
         if message[0] is ERROR:
             return describe(message)
     if message.__class__ is String:
@@ -67,9 +67,9 @@ def print_message_lines(machine: Machine, stream: Term, prefix: Term, lines: Ter
         if line.__class__ is Atom and line.name == "nl":
             texts.append("\n")
         elif line.__class__ is tuple and line[0].name == "-":
-            texts.append(format_to_text(machine, line[1], line[2], 0))
+            texts.append(format_to_text(machine, line[1], line[2]))
         else:
-            texts.append(format_to_text(machine, line, atom("[]"), 0))
+            texts.append(format_to_text(machine, line, atom("[]")))
     write_to(machine, stream, "".join(texts))
     return True
 
@@ -108,7 +108,7 @@ def log_error(machine: Machine, text_format: Term, arguments: Term) -> bool:
 
 
 def _log(machine: Machine, level: int, text_format: Term, arguments: Term) -> bool:
-    text = format_to_text(machine, text_format, arguments, 0)
+    text = format_to_text(machine, text_format, arguments)
     goal_log.log(level, "%s", shorten(text, MAX_LOGGED_CHARACTERS))
     return True
 

@@ -371,9 +371,9 @@ def _format_text(format_term: Term) -> str:
     return whole_text(format_term, "text")
 
 
-def format_to_text(machine: Machine, format_term: Term, arguments: Term, column: int) -> str:
-    """Return the text of ``format(Format, Arguments)`` at a column."""
-    return Formatter(machine, column).format(_format_text(format_term), _format_arguments(arguments))
+def format_to_text(machine: Machine, format_term: Term, arguments: Term) -> str:
+    """Return the text of ``format(Format, Arguments)`` at the beginning of a line."""
+    return Formatter(machine, 0).format(_format_text(format_term), _format_arguments(arguments))
 
 
 @deterministic("format/1")
@@ -400,19 +400,19 @@ def format_3(machine: Machine, sink: Term, format_term: Term, arguments: Term) -
     """Write formatted text to a stream, or unify it with an output specification such as ``atom(A)``."""
     sink = deref(sink)
     if is_sink(sink):
-        return fill_sink(machine, sink, format_to_text(machine, format_term, arguments, 0))
+        return fill_sink(machine, sink, format_to_text(machine, format_term, arguments))
     if sink.__class__ not in (Var, Atom) and not is_stream_term(sink):
         raise type_error("output", sink)
     # Checks the stream before the arguments are formatted, which may have side effects.
     write_to(machine, sink, "")
-    write_to(machine, sink, format_to_text(machine, format_term, arguments, 0))
+    write_to(machine, sink, format_to_text(machine, format_term, arguments))
     return True
 
 
 @deterministic("sformat/3")
 def sformat(machine: Machine, text: Term, format_term: Term, arguments: Term) -> bool:
     """Unify with formatted text as a string."""
-    return unify(text, make_text("string", format_to_text(machine, format_term, arguments, 0)), machine.trail)
+    return unify(text, make_text("string", format_to_text(machine, format_term, arguments)), machine.trail)
 
 
 @deterministic("sformat/2")
