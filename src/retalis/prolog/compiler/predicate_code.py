@@ -353,12 +353,12 @@ class PredicateGenerator:
         unit.add_function(["def main(frame):", *lines])
         return self._define(unit, "main", "")
 
-    def generate_clause(self, index: int) -> Step:
-        """Return the function of one clause; the last item of its frame is the height that its cuts restore."""
+    def generate_clause(self) -> Step:
+        """Return the function of the first clause; the last item of its frame is the height that its cuts restore."""
         unit = CompilationUnit(self.database.machine, self.database)
-        scope = self._write_clause(unit, index, None, height="height")
+        scope = self._write_clause(unit, 0, None, height="height")
         unit.add_function(["def main(frame):", self._unpacking_line(", height"), *scope.lines])
-        return self._define(unit, "main", f" clause {index + 1}")
+        return self._define(unit, "main", " clause 1")
 
     def _define(self, unit: CompilationUnit, name: str, part: str) -> Step:
         source = unit.complete_source()

@@ -98,7 +98,7 @@ class JustInTimeBodies:
             clause = ClauseParts(tuple(copies.values()), source)
             step = PredicateGenerator(
                 self._database, key, [clause], Code("body", _never_called)
-            ).generate_clause(0)
+            ).generate_clause()
         except (PrologError, RecursionError):
             # The interpreter raises the error when it reaches the goal, or never if it does not.
             return None

@@ -511,7 +511,7 @@ class Predicate:
             clause.call_count = -NEVER_COMPILE
             return None
         parts = ClauseParts(_arguments_of(clause.head), clause.body, clause.place)
-        clause.code = PredicateGenerator(self._resolver(), self.functor, [parts], self).generate_clause(0)
+        clause.code = PredicateGenerator(self._resolver(), self.functor, [parts], self).generate_clause()
         return clause.code
 
     def _resolver(self) -> PredicateResolver:
