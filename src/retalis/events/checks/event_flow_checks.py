@@ -357,7 +357,7 @@ def events_of_rule(rule: SourceRule) -> List[EventTerm]:
         reader.read_goal(head, 2, "do")
     reader.read(term, 2)
     goals = [*reader.goals, *calls_in_query(rule.definition.head or TRUE)]
-    return [head_event(term, 1), *reader.events, *events_raised_by_goals(goals)]
+    return [head_event(term), *reader.events, *events_raised_by_goals(goals)]
 
 
 def events_of_goals(goal: SourceTerm) -> List[EventTerm]:

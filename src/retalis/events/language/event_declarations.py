@@ -546,8 +546,9 @@ class VariableTypes:
         return f"{name} is {previous_text} and, here, {value_type.description} ({subject}): these are never equal"
 
 
-def head_event(parent: CompoundTerm, position: int) -> EventTerm:
-    """Return the event in a rule head: the head itself, or the event inside an alarm, query or ``do``."""
+def head_event(rule: CompoundTerm) -> EventTerm:
+    """Return the event in the head of a rule: the head itself, or the event inside an alarm, query or ``do``."""
+    parent, position = rule, 1
     term = deref(parent[position])
     while isinstance(term, tuple) and (
         term[0] in ALARMS or term[0] in SYNCHRONIZED or OPERATOR_NAMES.get(term[0]) == "do"

@@ -339,7 +339,7 @@ class EventFileParser:
             assert call.term.__class__ is tuple
             self.interval_calls.append(PredicateCall(call.term[0], place_of(call.term) or place))
         self._warn_of_parts(reader, pattern, place_of, place)
-        heads = [] if definition.head is None else [head_event(rule, 1)]
+        heads = [] if definition.head is None else [head_event(rule)]
         raised_events = events_raised_by_goals((*reader.goals, *calls_in_query(definition.head or TRUE)))
         self._file_declarations.check_events(
             chain(heads, reader.events, raised_events), rule, self._names, place_of, place
