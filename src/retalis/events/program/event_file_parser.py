@@ -499,7 +499,7 @@ def clause_error(logic: PrologSystem, term: Term) -> Optional[str]:
             return "this compares two terms; the arrow of an event rule is <-, without a space"
         key = head[0] if head.__class__ is tuple else head.functor if head.__class__ is Atom else None
         assert key is not None  # or `split_clause` has raised an error
-        logic.database.require_writable(key, "modify")
+        logic.database.require_writable(key)
     except PrologError as error:
         is_near = term.__class__ is tuple and term[0] in _SIMILAR_ARROWS
         return error.message + (

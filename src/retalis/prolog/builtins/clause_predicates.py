@@ -287,7 +287,7 @@ def _declaration_predicate(attribute: str) -> Callable[[Machine, Term], bool]:
 
     def run(machine: Machine, term: Term) -> bool:
         for item in declared_items(machine.logic.database.modules.resolve_declared_indicators(term)):
-            predicate = machine.logic.database.writable(indicator_of(item), "modify")
+            predicate = machine.logic.database.writable(indicator_of(item))
             setattr(predicate, attribute, True)
             machine.logic.database.count_change()
         return True
@@ -343,7 +343,7 @@ def _parse_dynamic_option(option: Term) -> str:
 def declare_dynamic(machine: Machine, item: Term, options: Set[str]) -> None:
     """Declare the predicate of an indicator dynamic."""
     database = machine.logic.database
-    predicate = database.writable(indicator_of(item), "modify")
+    predicate = database.writable(indicator_of(item))
     predicate.make_dynamic()
     predicate.discontiguous |= "discontiguous" in options
     predicate.multifile |= "multifile" in options
@@ -491,7 +491,7 @@ def _make_tabled(machine: Machine, key: Functor, modes: Dict[int, Mode]) -> None
     database = machine.logic.database
     if database.predicate(key).hidden_predicate is not None:
         return
-    predicate = database.writable(key, "modify")
+    predicate = database.writable(key)
     # The name contains a space, so that a program does not define the hidden predicate by accident.
     hidden = database.predicate(functor(f"{key.name} tabled", key.arity))
     for clause in list(predicate.active_clauses()):

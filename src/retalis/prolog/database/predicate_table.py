@@ -230,12 +230,11 @@ class Database:
             goal.invalidate()
         self.control.bodies.clear()
 
-    def require_writable(self, key: Functor, action: str, asserted: bool = False) -> None:
+    def require_writable(self, key: Functor, asserted: bool = False) -> None:
         """Require that the program may change the clauses of a predicate.
 
         Args:
             key: functor of the predicate.
-            action: the action named in the error, such as "modify".
             asserted: whether the change is made by a goal and not by a file or a declaration.
 
         Raises:
@@ -246,7 +245,7 @@ class Database:
             predicate.is_locked or (asserted and key in ISO_PREDICATES)
         )
         if is_locked or key in PROTECTED_PREDICATES:
-            raise permission_error(action, "static_procedure", indicator(key))
+            raise permission_error("modify", "static_procedure", indicator(key))
 
     def restore_library(self, predicate: Predicate) -> None:
         """Replace the program's version of a predicate by the library's."""
@@ -266,13 +265,13 @@ class Database:
             self.predicates[key] = program_predicate
             self.discard_compiled_code()
 
-    def writable(self, key: Functor, action: str, asserted: bool = False) -> Predicate:
+    def writable(self, key: Functor, asserted: bool = False) -> Predicate:
         """Return a predicate whose clauses the program may change.
 
         For a predicate of the library, a new predicate is created, which shadows it for the program. Arguments and
         errors are those of `require_writable`.
         """
-        self.require_writable(key, action, asserted)
+        self.require_writable(key, asserted)
         predicate = self.predicate(key)
         if not predicate.is_library_predicate:
             return predicate if predicate.hidden_predicate is None else predicate.hidden_predicate

@@ -320,9 +320,9 @@ def restore_program(logic: PrologSystem, program: ProgramSnapshot) -> None:
     for declaration in program.table_declarations:
         declare_tabled(logic.machine, declaration)
     for key in program.observed_predicates:
-        tables.observe(logic.database.writable(key, "modify"))
+        tables.observe(logic.database.writable(key))
     for key, properties, clauses in program.predicates:
-        predicate = logic.database.writable(key, "modify")
+        predicate = logic.database.writable(key)
         (
             predicate.dynamic,
             predicate.is_dynamic_by_goal,

@@ -191,7 +191,7 @@ class PrologSystem(PredicateTable):
         """
         term, error_clause = translate_single_sided(rule)
         clause = self._add_to_predicate(term, place, first, asserted)
-        predicate = self.database.writable(clause.predicate.functor, "modify")
+        predicate = self.database.writable(clause.predicate.functor)
         last_clause = predicate.clauses[-1]
         if not is_error_clause_body(last_clause.body):
             # The error clause was the last one before this rule.
@@ -203,7 +203,7 @@ class PrologSystem(PredicateTable):
 
     def _add_to_predicate(self, term: Term, place: Optional[Place], first: bool, asserted: bool) -> Clause:
         head, body = split_clause(copy(term))
-        predicate = self.database.writable(functor_of(head), "modify", asserted)
+        predicate = self.database.writable(functor_of(head), asserted)
         clause = (
             Clause(predicate, head, body, place)
             if asserted
