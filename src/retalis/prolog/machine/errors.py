@@ -210,11 +210,9 @@ def evaluation_error(reason: str) -> PrologError:
     return error((_EVALUATION_ERROR, atom(reason)))
 
 
-def resource_error(
-    resource: str, context: Optional[Term] = None, reason: Optional[str] = None
-) -> PrologError:
+def resource_error(resource: str, reason: Optional[str] = None) -> PrologError:
     """Return the error for a limit that has been reached."""
-    return error((_RESOURCE_ERROR, atom(resource)), _reason_context(reason) if context is None else context)
+    return error((_RESOURCE_ERROR, atom(resource)), _reason_context(reason))
 
 
 def syntax_error(message: str) -> PrologError:
