@@ -127,12 +127,10 @@ def number_variables(terms: List[Term]) -> List[Term]:
     return terms
 
 
-def sort_terms(terms: Sequence[Term], reverse: bool = False) -> List[Term]:
+def sort_terms(terms: Sequence[Term]) -> List[Term]:
     """Return terms in the standard order; the sort is stable."""
     values = [deref(term) for term in with_limit_checks(terms)]
-    return [
-        values[position] for position in with_limit_checks(sorted_positions(_make_sort_keys(values), reverse))
-    ]
+    return [values[position] for position in with_limit_checks(sorted_positions(_make_sort_keys(values)))]
 
 
 def sort_by(items: Sequence[Item], keys: Sequence[Term], reverse: bool = False) -> List[Tuple[Term, Item]]:
