@@ -109,8 +109,8 @@ def _read_non_negative(term: Term, slot: str) -> int:
     return term
 
 
-def _read_boolean(term: Term, slot: str) -> bool:
-    """Return the truth value in a slot, which may be a number as in ``sensor_msgs/Image``."""
+def _read_is_bigendian(term: Term) -> bool:
+    """Return the truth value in a slot ``is_bigendian``, which is a number in ``sensor_msgs/Image``."""
     term = deref(term)
     if term is TRUE or term is FALSE:
         return term is TRUE
@@ -118,7 +118,7 @@ def _read_boolean(term: Term, slot: str) -> bool:
         return bool(term)
     if term.__class__ is Var:
         raise instantiation_error()
-    raise type_error("bool", term, f"slot {slot}")
+    raise type_error("bool", term, "slot is_bigendian")
 
 
 def _read_text(term: Term, slot: Optional[str] = None) -> str:
@@ -284,7 +284,7 @@ def _read_cloud(term: Term) -> _Cloud:
     """Return the layout of a point cloud, after its sizes have been checked."""
     message = _require_message(term, _POINT_CLOUD)
     height, width = _read_non_negative(message[2], "height"), _read_non_negative(message[3], "width")
-    is_bigendian = _read_boolean(message[5], "is_bigendian")
+    is_bigendian = _read_is_bigendian(message[5])
     point_step, row_step = (
         _read_non_negative(message[6], "point_step"),
         _read_non_negative(message[7], "row_step"),
@@ -416,7 +416,7 @@ def _read_image(term: Term) -> _Image:
     message = _require_message(term, _IMAGE)
     height, width = _read_non_negative(message[2], "height"), _read_non_negative(message[3], "width")
     type_name, channels = _parse_encoding(message[4])
-    byte_order = ">" if _read_boolean(message[5], "is_bigendian") else "<"
+    byte_order = ">" if _read_is_bigendian(message[5]) else "<"
     step, data = _read_non_negative(message[6], "step"), _read_bytes(message[7])
     dtype = numpy.dtype(byte_order + type_name)
     needed = width * channels * dtype.itemsize
