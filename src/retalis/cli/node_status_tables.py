@@ -200,11 +200,9 @@ def _format_lag(seconds: Optional[float]) -> str:
     return f"{seconds * 1000:.0f}ms" if abs(seconds) < 1 else _format_duration(seconds)
 
 
-def _plain_column(
-    name: str, heading: str = "", can_shrink: bool = False, hidden_if_empty: bool = False
-) -> _Column:
+def _plain_column(name: str, can_shrink: bool = False, hidden_if_empty: bool = False) -> _Column:
     return _Column(
-        heading or name,
+        name,
         lambda row, before, time: _format_value(row.get(name, 0)),
         can_shrink,
         hidden_if_empty,
