@@ -80,12 +80,11 @@ class _OutputLine:
         self,
         line: LayoutLine,
         comment_column: int = -1,
-        row: Optional[_FactRow] = None,
         is_verbatim: bool = False,
     ):
         self.line = line
         self.comment_column = comment_column
-        self.row = row
+        self.row: Optional[_FactRow] = None
         self.is_verbatim = is_verbatim
 
 
