@@ -354,17 +354,15 @@ class Snapshots:
 
     Args:
         source: the program.
-        clock: monotonic clock in seconds.
 
     Attributes:
         events: the recent events.
         graph: the graph of the program, a new object after each change.
     """
 
-    def __init__(self, source: DashboardSource, clock: Callable[[], float] = time.monotonic):
+    def __init__(self, source: DashboardSource):
         self._source = source
         self._engine = source.engine
-        self._clock = clock
         self.events = RecentEvents(source.engine)
         self._history: Deque[Tuple[float, Dict[str, int]]] = deque(maxlen=RATE_SNAPSHOTS + 1)
         self._topics: List[GraphTopic] = []
@@ -430,7 +428,7 @@ class Snapshots:
 
     def _compute_rates(self, counters: Dict[str, int]) -> Dict[str, float]:
         """Return the growth per second of each counter, since the oldest stored snapshot."""
-        now = self._clock()
+        now = time.monotonic()
         self._history.append((now, counters))
         oldest_time, oldest_counters = self._history[0]
         # The first snapshot after a pause has no predecessor, and gives no rates.
