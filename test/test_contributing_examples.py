@@ -214,7 +214,7 @@ def test_builtin_is_added(tmp_path: Path) -> None:
 
 MESSAGE_PROGRAM = """
 from retalis import BagWriter, Definitions, MessageError, atom, functor
-from retalis.messages.event_text_writer import make_text_writer
+from retalis.messages.message_to_event_text import make_text_writer
 from retalis.messages.message_dictionaries import make_message_term, read_message_term
 
 definitions = Definitions()

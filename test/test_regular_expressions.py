@@ -300,7 +300,7 @@ CASES: Dict[str, Case] = {
         ("", "a", "a[", "a[1", "a[1 ", "a[1] ", "a a", "a a "),
         (*BLANKS, "a", "1", "1 ", "[ ", "a "),
     ),
-    # messages/event_text_writer.py
+    # messages/message_to_event_text.py
     r"(^|,)(-?[0-9]+)e": Case(
         "search",
         "a number without an exponent: its digits once more",

@@ -12,7 +12,7 @@ from subprocess_python_path import python_path
 
 from retalis.cli import command_line
 from retalis.cli.command_line import COMMANDS, main, make_parser
-from retalis.cli.command_parser import CommandParser
+from retalis.cli.short_help_parser import ShortHelpParser
 
 SOURCES = Path(__file__).resolve().parents[2] / "src"
 
@@ -97,7 +97,7 @@ def test_missing_command_prints_help_as_error(capsys: pytest.CaptureFixture[str]
     assert capsys.readouterr() == ("", text)
 
 
-def parsers() -> Dict[str, CommandParser]:
+def parsers() -> Dict[str, ShortHelpParser]:
     """Return the parser of each command by its name."""
     return make_parser([])[1]
 

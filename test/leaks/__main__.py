@@ -13,7 +13,7 @@ import logging
 from typing import Any
 
 from retalis.foundation.bounded_caches import Cache
-from retalis.prolog.database.predicate_table import Database
+from retalis.prolog.database.predicate_database import Database
 
 from .cases import CASES
 

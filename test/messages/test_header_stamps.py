@@ -10,13 +10,13 @@ from hypothesis import strategies as st
 from message_registries import empty_registry
 
 from retalis import Definitions, MessageError, Operators
-from retalis.messages.event_text_writer import make_text_writer
 from retalis.messages.header_stamps import (
     format_frame_key,
     make_observed_decoder,
     make_stamp_reader,
     shift_header_stamp,
 )
+from retalis.messages.message_to_event_text import make_text_writer
 from retalis.messages.type_definition import SerializationFormat
 from retalis.prolog.syntax.event_text import to_text
 from retalis.prolog.syntax.term_reader import read_term

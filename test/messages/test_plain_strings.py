@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 from retalis import Definitions, MessageError, atom, functor
 from retalis.messages.action_events import ActionEvent, ActionMessages
 from retalis.messages.decoder import MAX_EAGER_BYTES
-from retalis.messages.event_text_writer import make_text_writer
 from retalis.messages.message_dictionaries import make_message_term, read_message_term
 from retalis.messages.message_slots import SlotNames
+from retalis.messages.message_to_event_text import make_text_writer
 from retalis.messages.type_definition import SerializationFormat
 from retalis.prolog.syntax.event_text import EventReader, to_text
 from retalis.prolog.terms.types import NIL, String, deref

@@ -15,7 +15,7 @@ from message_registries import empty_registry
 from messages.reference_wire_format import CODES, messages, serialize, to_term
 from retalis import Definitions, Operators
 from retalis.messages import encoder
-from retalis.messages.event_text_writer import make_text_writer
+from retalis.messages.message_to_event_text import make_text_writer
 from retalis.prolog.syntax.event_text import EventReader, to_text
 from retalis.prolog.syntax.term_reader import read_term
 from retalis.prolog.syntax.tokenizer import ReadFlags

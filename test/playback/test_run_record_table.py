@@ -9,7 +9,7 @@ import pytest
 from retalis import BagError
 from retalis.engine.run_records import RECORD_TYPES
 from retalis.playback import playback
-from retalis.playback.bag_files import IncompleteFile
+from retalis.playback.incomplete_files import IncompleteFile
 from retalis.playback.playback import INCOMPLETE_FILES_KEY, RunTable, make_incomplete_file_record
 
 OUTPUT = {"output": "x(1)", "topic": "t", "id": None, "time": 1_500_000_000_000_000_001}

@@ -21,7 +21,7 @@ from parsing import read_clauses
 from retalis import Engine, PrologError, functor
 from retalis.foundation.errors import TermTooLarge
 from retalis.prolog.database.predicate import COMPILE_AFTER, NEVER_COMPILE
-from retalis.prolog.database.predicate_table import Database
+from retalis.prolog.database.predicate_database import Database
 from retalis.prolog.syntax.term_reader import read_term
 from retalis.prolog.syntax.term_writer import write_term
 from retalis.prolog.system.prolog_system import PrologSystem

@@ -42,7 +42,6 @@ from ..foundation.errors import RetalisError, UsageError, quote_shortened
 from ..foundation.garbage_collection import limit_gc_pauses, restore_gc
 from ..foundation.interrupts import check_interrupt, interruptible
 from ..foundation.output_files import print_json
-from ..playback.bag_files import INCOMPLETE_STATUS, IncompleteFile
 from ..playback.bag_locations import (
     BagLocation,
     MergedBag,
@@ -54,6 +53,7 @@ from ..playback.bag_locations import (
     remove_incomplete_results,
     result_file,
 )
+from ..playback.incomplete_files import INCOMPLETE_STATUS, IncompleteFile
 from ..playback.playback import (
     Output,
     Playback,

@@ -17,8 +17,8 @@ from ..foundation.garbage_collection import stop_limiting_gc_pauses
 from ..foundation.interrupts import EXIT_STATUS, interruptible
 from ..foundation.output_files import GuardedOutput, OutputFailed
 from ..foundation.similar_names import did_you_mean
-from .command_parser import CommandParser
 from .option_values import join_times_option
+from .short_help_parser import ShortHelpParser
 from .stderr_and_progress import detach_reporters
 
 AddParser = Callable[[Callable[..., argparse.ArgumentParser]], object]
@@ -124,13 +124,13 @@ def main(arguments: Optional[List[str]] = None) -> int:
         sys.stdout = output
 
 
-def make_parser(words: List[str]) -> Tuple[CommandParser, Dict[str, CommandParser]]:
+def make_parser(words: List[str]) -> Tuple[ShortHelpParser, Dict[str, ShortHelpParser]]:
     """Return the parser of a command line, and the parsers of the commands by name.
 
     Args:
         words: the command line; only the parser of its command is created, or all parsers if it has none.
     """
-    parser = CommandParser(
+    parser = ShortHelpParser(
         prog="retalis",
         description="Event rules and a knowledge base for robots.",
         epilog="retalis COMMAND --help lists the options of a command. The exit status is 0 for success, 1 for "
@@ -142,15 +142,15 @@ def make_parser(words: List[str]) -> Tuple[CommandParser, Dict[str, CommandParse
     # argparse lists the subcommands in the order of their registration.
     for add_parser in import_commands(words):
         add_parser(commands.add_parser)
-    for command_parser in commands.choices.values():
-        command_parser.add_all_help()
+    for subparser in commands.choices.values():
+        subparser.add_all_help()
     return parser, commands.choices
 
 
 def _run_command(words: List[str]) -> int:
     """Run a command with its arguments; return its exit status."""
     try:
-        parser, command_parsers = make_parser(words)
+        parser, subparsers = make_parser(words)
         if not words:
             # argparse would print only the usage, without the commands.
             parser.print_help(sys.stderr)
@@ -160,7 +160,7 @@ def _run_command(words: List[str]) -> int:
             parser.error(f"there is no command {quote_shortened(name)}{did_you_mean(name, COMMANDS)}")
         options, unknown_words = parser.parse_known_args(join_times_option(words))
         if unknown_words:
-            command_parsers[options.command].reject_unknown(unknown_words)
+            subparsers[options.command].reject_unknown(unknown_words)
         if options.command in _KEEP_ENGINE:
             status: int = options.run(options)
         else:

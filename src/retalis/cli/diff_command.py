@@ -15,12 +15,13 @@ from ..foundation.errors import RetalisError, UsageError, format_count, printabl
 from ..foundation.output_files import print_json, write_xml
 from ..messages.type_registry import Definitions
 from ..node.subscribed_topics import HandlerFactory
-from ..playback.bag_files import INCOMPLETE_STATUS, IncompleteFile
 from ..playback.bag_locations import MergedBag, find_bags, is_url, local_copy
+from ..playback.incomplete_files import INCOMPLETE_STATUS, IncompleteFile
 from ..playback.playback import Playback, make_incomplete_file_record
 from ..playback.worker_pools import Unfinished, run_in_processes
 from ..prolog.terms.timestamps import SECOND
 from ..testing.case_run import ProblemLog
+from ..testing.change_impact_analysis import Extent
 from ..testing.output_changes import (
     MOVED_WITHIN_SECONDS,
     ChangeType,
@@ -31,7 +32,6 @@ from ..testing.output_changes import (
     compare_versions,
     have_equal_programs,
 )
-from ..testing.program_difference import Extent
 from .command_options import add_message_folders, message_folders
 from .dask_cluster import (
     ClusterError,

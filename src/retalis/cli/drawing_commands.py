@@ -38,7 +38,7 @@ from .optional_ros_imports import installed_definitions
 from .stderr_and_progress import StderrReporter, show_progress
 
 if TYPE_CHECKING:
-    from ..playback.bag_files import IncompleteFile
+    from ..playback.incomplete_files import IncompleteFile
 
 TEXT_SUFFIXES = ("dot", "gv")
 """Suffixes of files in the text format of Graphviz."""

@@ -2,8 +2,8 @@
 
 If the event happened, its lineage is shown as a tree (`derivation_tree`): the rule that fired it, and recursively the
 events that matched. If it did not, each rule whose head unifies with the event is evaluated over the recorded events
-(`why_not`), and missing events are explained recursively (`missing_events`). Subscriptions that did not publish are
-explained in the same way (`why_not_published`).
+(`why_not_matched`), and missing events are explained recursively (`why_not_happened`). Subscriptions that did not
+publish are explained in the same way (`why_not_published`).
 
 The engine must record lineage (flag ``etalis_justification``, `record_origins`). An explanation takes time that grows
 with the number of recorded events, so callers that serve others set a limit.
@@ -23,7 +23,7 @@ from ..prolog.terms.list_terms import list_items
 from ..prolog.terms.types import Atom, Term, Var, atom, deref, functor
 from .derivation_tree import DerivationTrees
 from .explanation_lines import MAX_LINES_OF_A_KIND, Explanation, ExplanationLine, ExplanationTexts
-from .missing_events import MissingEvents, RequestedInterval
+from .why_not_happened import RequestedInterval, WhyNotHappened
 from .why_not_published import WhyNotPublished, can_unify
 
 _EVENT_FUNCTOR = functor("event", 2)
@@ -151,10 +151,10 @@ def _explain_request(program: LoadedProgram, request: Term, reference_time: Opti
     derivations = DerivationTrees(recorded, program.knowledge.states, texts)
     occurrences = _find_occurrences(program, recorded, event, interval)
     if not occurrences:
-        missing_events = MissingEvents(
+        why_not_happened = WhyNotHappened(
             program, recorded, reference_time, texts, derivations, why_not_published
         )
-        return Explanation(False, missing_events.explain(event, interval))
+        return Explanation(False, why_not_happened.explain(event, interval))
     shown = occurrences[:MAX_LINES_OF_A_KIND]
     lines = [derivations.explain(occurrence) for occurrence in shown]
     # An event that happened can still be missing on a topic.

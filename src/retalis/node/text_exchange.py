@@ -12,7 +12,7 @@ from ..foundation.errors import MessageError, RetalisError, UsageError
 from ..messages.cdr_decoder import BYTE_ORDERS, MAX_PADDING_BYTES, not_plain_cdr
 from ..messages.cdr_encoder import LITTLE_ENDIAN_CDR
 from ..messages.decoder import Decoder
-from ..messages.event_text_writer import make_text_writer
+from ..messages.message_to_event_text import make_text_writer
 from ..messages.type_definition import SerializationFormat
 from ..prolog.syntax.event_text import event_text, to_text
 from ..prolog.terms.types import Term, atom, functor

@@ -37,7 +37,7 @@ from .rosbag1 import BagError, BagReader, PathLike, Record, Topic, UnreadableTop
 from .rosbag2 import METADATA, SUFFIXES, Ros2BagReader, is_ros2_bag
 
 if TYPE_CHECKING:
-    from .bag_files import IncompleteFile
+    from .incomplete_files import IncompleteFile
 
 SingleBag = Union[BagReader, Ros2BagReader]
 

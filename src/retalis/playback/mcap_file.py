@@ -28,7 +28,6 @@ from typing import Callable, Collection, Dict, FrozenSet, Iterator, List, NamedT
 
 from ..foundation.errors import format_count
 from ..foundation.interrupts import check_interrupt
-from .bag_files import Connection, IncompleteFile
 from .decompression import (
     ChunkLimit,
     ChunkLimitError,
@@ -37,7 +36,9 @@ from .decompression import (
     unpack,
     unpack_available,
 )
+from .incomplete_files import IncompleteFile
 from .message_merge import MAX_TIME, Message, list_chunk_sources, merge_by_time
+from .ros2_connections import Connection
 
 _MAGIC = b"\x89MCAP0\r\n"
 _RECORD_STRUCT = Struct("<BQ")

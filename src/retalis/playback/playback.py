@@ -89,10 +89,10 @@ from ..node.subscribed_topics import (
 from ..node.transport import MessageSource
 from ..prolog.syntax.term_writer import canonical_text
 from ..prolog.terms.types import Term
-from .bag_files import IncompleteFile
 from .bag_locations import Bag
 from .bag_transport import BagTransport, RefusedConnection, list_topic_names
 from .decompression import describe_error
+from .incomplete_files import IncompleteFile
 from .rosbag1 import BagError, PathLike, Record, Topic
 
 log = logging.getLogger("retalis")

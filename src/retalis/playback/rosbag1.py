@@ -49,8 +49,8 @@ from ..foundation.interrupts import check_interrupt
 from ..foundation.output_files import replace_file
 from ..foundation.ros_name_checks import strip_slashes
 from ..messages.type_definition import Definition, SerializationFormat
-from .bag_files import INCOMPLETE_STATUS, IncompleteFile
 from .decompression import MAX_CHUNK_MEGABYTES, ChunkLimit, describe_error, unpack
+from .incomplete_files import INCOMPLETE_STATUS, IncompleteFile
 from .unindexed_bag import UnindexedBag, UnindexedConnection, find_index_problem
 
 log = logging.getLogger("retalis")

@@ -40,7 +40,6 @@ from ..foundation.ros_name_checks import ros1_type_name, strip_slashes, topic_fa
 from ..messages.ros2_definitions import BUILTIN_DEFINITIONS
 from ..messages.type_definition import Definition, SerializationFormat
 from ..messages.type_registry import Definitions, InstalledTypes, parse_ros2_type
-from .bag_files import Connection, IncompleteFile
 from .decompression import (
     MAX_CHUNK_MEGABYTES,
     ChunkLimit,
@@ -49,8 +48,10 @@ from .decompression import (
     describe_error,
     zstd_reader,
 )
+from .incomplete_files import IncompleteFile
 from .mcap_file import McapFile
 from .message_merge import merge_by_time
+from .ros2_connections import Connection
 from .rosbag1 import (
     BagError,
     PathLike,

@@ -21,11 +21,12 @@ from typing import Any, Collection, Dict, Iterator, List, Mapping, Optional, Tup
 from ..foundation.interrupts import check_interrupt, is_interrupted
 from ..foundation.read_only_sqlite import open_without_locks
 from ..messages.ros2_definitions import find_interfaces
-from .bag_files import Connection, IncompleteFile
 from .decompression import ChunkLimit, describe_error
+from .incomplete_files import IncompleteFile
 from .message_merge import MAX_TIME, Message
+from .ros2_connections import Connection
 from .rosbag1 import IncompleteBagError
-from .sqlite_pages import count_complete_rows, read_stated_size
+from .sqlite_damage import count_complete_rows, read_stated_size
 
 _BASE_QUERY_STEPS = 1_000_000
 _STEPS_PER_BYTE = 10

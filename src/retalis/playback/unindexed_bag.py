@@ -24,8 +24,8 @@ from struct import error as StructError
 from typing import BinaryIO, Collection, Dict, FrozenSet, Iterator, List, NamedTuple, Optional, Set, Tuple
 
 from ..foundation.interrupts import check_interrupt
-from .bag_files import IncompleteFile
 from .decompression import ChunkLimit, ChunkLimitError, MissingPackageError, unpack, unpack_available
+from .incomplete_files import IncompleteFile
 from .message_merge import MAX_TIME, Message, list_chunk_sources, merge_by_time
 
 _MAGIC = b"#ROSBAG V2.0\n"

@@ -16,7 +16,7 @@ from ..events.dispatch.argument_projection import NOT_READ
 from ..events.program.topic_configuration import Topics, direct_topics
 from ..messages.action_events import STATUS, find_action_event
 from ..messages.decoder import Decoder
-from ..messages.event_text_writer import make_text_writer, write_without_unread
+from ..messages.message_to_event_text import make_text_writer, write_without_unread
 from ..node.diagnostics import Diagnostics, InputRole, NodeHealth, evaluate_program
 from ..node.goal_output import log_error
 from ..node.host_context import HostContext

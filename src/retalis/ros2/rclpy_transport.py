@@ -28,12 +28,12 @@ from ..node.transport import Connect, GraphChange, Mismatch, NodeGraph
 from .installed_interfaces import InstalledInterfaces
 from .message_intake import MessageIntake
 from .node_executor import MAX_WAIT_SECONDS
-from .node_watch import NodeWatch
+from .parameter_and_lifecycle_watch import ParameterAndLifecycleWatch
 from .quality_of_service import choose_published_quality, find_mismatches, full_node_name, join_node_name
 from .rclpy_service_call import RclpyServiceCalls
 from .ros_clock import CLOCK_TOPIC, CLOCK_TYPE, RosClock, replace_clock_subscription
 from .service_messages import fill_message, read_fields
-from .timers import TransportTimers
+from .timer_thread import TransportTimers
 from .topic_publication import OwnMessages, RclpyPublication
 from .topic_subscription import RclpySubscription, TopicOptions
 
@@ -103,7 +103,7 @@ class RclpyTransport:
         self._own_messages: Dict[str, OwnMessages] = {}
         self._publications: List[RclpyPublication] = []
         self._services: List[Any] = []
-        self._node_watches: List[NodeWatch] = []
+        self._node_watches: List[ParameterAndLifecycleWatch] = []
         self._shutdown_lock = threading.Lock()
         self._shutdown_callbacks: List[Callable[[], object]] = []
         self._is_shut_down = False
@@ -335,7 +335,7 @@ class RclpyTransport:
     def watch_nodes(self, report: Callable[[GraphChange], object]) -> None:
         """See `Transport`."""
         self._node_watches.append(
-            NodeWatch(self._node, report, self._reports.warning, self._own_timers.call_later)
+            ParameterAndLifecycleWatch(self._node, report, self._reports.warning, self._own_timers.call_later)
         )
 
     # ---- shutdown

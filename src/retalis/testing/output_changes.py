@@ -1,7 +1,7 @@
 """Comparison of the outputs of two versions of a program over a bag, which is read in one pass.
 
-Rules that cannot differ are not run (`program_difference`). If outputs differ, both whole versions run again with the
-recording of lineage, for the reasons.
+Rules that cannot differ are not run (`change_impact_analysis`). If outputs differ, both whole versions run again
+with the recording of lineage, for the reasons.
 
 Equal outputs are removed first. Of the others, an output with the same topic and term at a time nearby has moved, and
 one with the same topic and time, and a term of the same name, has changed. The rest is lost or gained.
@@ -36,7 +36,7 @@ from ..playback.shared_pass import SharedRun, SharedTerms, run_together
 from ..prolog.syntax.term_reader import read_term
 from ..prolog.syntax.term_writer import canonical_text
 from ..prolog.terms.timestamps import SECOND
-from .program_difference import (
+from .change_impact_analysis import (
     Extent,
     ProgramVersion,
     find_difference,

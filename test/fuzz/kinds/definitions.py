@@ -3,7 +3,7 @@
 from typing import Any, Tuple
 
 from retalis import Definitions
-from retalis.messages.event_text_writer import make_text_writer
+from retalis.messages.message_to_event_text import make_text_writer
 from retalis.messages.type_registry import InstalledTypes
 
 from ..mutate import mutate_text, random_tokens, to_bytes, to_text

@@ -5,7 +5,7 @@ import struct
 from typing import Any, Dict, Tuple
 
 from retalis import Definitions
-from retalis.messages.event_text_writer import make_text_writer
+from retalis.messages.message_to_event_text import make_text_writer
 from retalis.prolog.syntax.event_text import EventReader
 from retalis.prolog.syntax.event_text import to_text as text_of
 

@@ -11,7 +11,7 @@ from typing import Any, List, Tuple
 from asserting_accessors import compound
 
 from retalis import Definitions, atom, functor, to_python
-from retalis.messages.event_text_writer import make_text_writer
+from retalis.messages.message_to_event_text import make_text_writer
 from retalis.messages.type_definition import functor_name
 from retalis.messages.type_registry import InstalledTypes
 from retalis.prolog.syntax.event_text import EventReader

@@ -4,8 +4,8 @@ import struct
 from typing import Any, Iterator, List, Tuple
 
 from retalis import Definitions
-from retalis.messages.event_text_writer import make_text_writer
 from retalis.messages.idl_definitions import convert_idl
+from retalis.messages.message_to_event_text import make_text_writer
 from retalis.messages.type_definition import SerializationFormat
 from retalis.messages.type_registry import parse_ros2_type
 from retalis.prolog.syntax.event_text import to_text as text_of

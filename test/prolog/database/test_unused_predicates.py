@@ -4,7 +4,7 @@ import pytest
 from prolog.support import answers, prolog
 
 from retalis import Engine
-from retalis.prolog.database import predicate_table
+from retalis.prolog.database import predicate_database
 
 IS_UNDEFINED = "catch({}, error(existence_error(_, _), _), R = undefined)"
 
@@ -18,7 +18,7 @@ def test_demoted_predicate_is_called_once_defined() -> None:
 
 
 def test_asserted_and_retracted_names_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(predicate_table, "MAX_EMPTY_DYNAMIC", 50)
+    monkeypatch.setattr(predicate_database, "MAX_EMPTY_DYNAMIC", 50)
     logic = prolog("turn(N) :- atom_concat(seen_, N, Name), F =.. [Name, N], assertz(F), retract(F).")
     before = len(logic.database.predicates)
     for number in range(5000):

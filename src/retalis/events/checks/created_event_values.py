@@ -5,9 +5,9 @@ from typing import Any, List, NamedTuple
 from ...messages.type_definition import Definition
 from ...prolog.terms.types import CompoundTerm, deref
 from .abstract_environment import Environment
+from .abstract_store import AbstractStore, EventSignatures
 from .program_model import subterms, wrap_term
 from .value_conflict_reports import ConflictReporter, place_in
-from .value_flow_tables import EventSignatures, FlowTables
 from .value_kinds import (
     ATOM,
     BOOL,
@@ -41,21 +41,21 @@ class CreatedEvents:
     """Events that rules, states, subscriptions and goals create.
 
     Args:
-        tables: receives the kinds of their arguments.
+        store: receives the kinds of their arguments.
         signatures: types of their slots and declared arguments.
         conflicts: receives values that do not fit.
     """
 
-    def __init__(self, tables: FlowTables, signatures: EventSignatures, conflicts: ConflictReporter):
-        self._tables = tables
+    def __init__(self, store: AbstractStore, signatures: EventSignatures, conflicts: ConflictReporter):
+        self._store = store
         self._signatures = signatures
         self._conflicts = conflicts
 
     def add(self, event: Any, environment: Environment) -> None:
         """Add the values of an event that the program emits, and check those of its slots."""
         if event.__class__ is tuple:
-            if self._tables.has_event(event[0]):
-                self._tables.add_event(event, environment)
+            if self._store.has_event(event[0]):
+                self._store.add_event(event, environment)
             self.check_slots(event, environment)
 
     def check_slots(self, term: Any, environment: Environment) -> None:

@@ -10,13 +10,13 @@ from ...prolog.terms.types import COMMA, Atom, CompoundTerm, String, Var, deref,
 from ..language.rule_heads import makes_event
 from ..language.state_parser import HOLDS
 from .abstract_environment import AbstractValue, Environment
+from .abstract_store import AbstractStore, clause_head, raised_event
 from .condition_checks import IS, NUMERIC_COMPARISONS
 from .created_event_values import CreatedEvents
 from .memory_checks import RECORD_READS
 from .predicate_checks import ASSERTING_PREDICATES
 from .program_model import ProgramModel
 from .value_conflict_reports import ConflictReporter, place_in
-from .value_flow_tables import FlowTables, clause_head, raised_event
 from .value_kinds import (
     COMPOUND,
     LIST,
@@ -69,7 +69,7 @@ class GoalTransfer:
 
     Args:
         program: the program.
-        tables: kinds of predicates, states and records that goals read and add to.
+        store: kinds of predicates, states and records that goals read and add to.
         created_events: receives the events that goals raise.
         conflicts: receives comparisons, calls and reads of values that are never equal.
     """
@@ -77,12 +77,12 @@ class GoalTransfer:
     def __init__(
         self,
         program: ProgramModel,
-        tables: FlowTables,
+        store: AbstractStore,
         created_events: CreatedEvents,
         conflicts: ConflictReporter,
     ):
         self._program = program
-        self._tables = tables
+        self._store = store
         self._created_events = created_events
         self._conflicts = conflicts
         self._calls: Dict[Any, Callable[[CompoundTerm, Environment], None]] = {
@@ -147,7 +147,7 @@ class GoalTransfer:
 
     def _run_call(self, goal: CompoundTerm, environment: Environment) -> None:
         run = self._calls.get(goal[0])
-        if self._tables.has_predicate(goal[0]):
+        if self._store.has_predicate(goal[0]):
             self._call_predicate(goal, environment)
         elif run is not None:
             run(goal, environment)
@@ -160,17 +160,17 @@ class GoalTransfer:
 
     def _call_predicate(self, goal: CompoundTerm, environment: Environment) -> None:
         key = goal[0]
-        for position, kinds in enumerate(self._tables.read_predicate(key), 1):
+        for position, kinds in enumerate(self._store.read_predicate(key), 1):
             environment.bind_argument(goal, position, kinds, f"argument {position} of {key}")
 
     def _assert_clause(self, goal: CompoundTerm, environment: Environment) -> None:
         head: Any = clause_head(goal[1])
-        if head.__class__ is tuple and self._tables.has_predicate(head[0]):
-            self._tables.add_clause(head, environment)
+        if head.__class__ is tuple and self._store.has_predicate(head[0]):
+            self._store.add_clause(head, environment)
 
     def _retract_fact(self, goal: CompoundTerm, environment: Environment) -> None:
         fact: Any = deref(goal[1])
-        if fact.__class__ is tuple and self._tables.has_predicate(fact[0]):
+        if fact.__class__ is tuple and self._store.has_predicate(fact[0]):
             self._call_predicate(fact, environment)
 
     def _bind_results(self, goal: CompoundTerm, environment: Environment) -> None:
@@ -194,15 +194,15 @@ class GoalTransfer:
 
     def _query_state(self, goal: CompoundTerm, environment: Environment) -> None:
         state: Any = deref(goal[1])
-        if state.__class__ is tuple and self._tables.has_event(state[0]):
-            for position, kinds in enumerate(self._tables.read_event(state[0]), 1):
+        if state.__class__ is tuple and self._store.has_event(state[0]):
+            for position, kinds in enumerate(self._store.read_event(state[0]), 1):
                 environment.bind_argument(state, position, kinds, f"argument {position} of {state[0]}")
 
     def _read_record(self, goal: CompoundTerm, environment: Environment) -> None:
         """Bind the variables of a record that a goal reads from a memory."""
         name: Any = deref(goal[1])
         record: Any = deref(goal[2])
-        records = self._tables.read_records(name.name) if isinstance(name, Atom) else None
+        records = self._store.read_records(name.name) if isinstance(name, Atom) else None
         if records is None:
             return
         subject = f"the record of memory {name.name}"

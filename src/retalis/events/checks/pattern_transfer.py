@@ -21,10 +21,10 @@ from ..language.pattern_tree import (
 )
 from ..streams.aggregates import AGGREGATES
 from .abstract_environment import Environment
+from .abstract_store import AbstractStore, EventSignatures
 from .goal_transfer import MAX_NESTING, GoalTransfer
 from .program_model import wrap_term
 from .value_conflict_reports import NUMBER_ADVICE, ConflictReporter
-from .value_flow_tables import EventSignatures, FlowTables
 from .value_kinds import LIST, NUMBER, WORD, Kinds, ValueOrigin, kinds_of_slot, kinds_of_type
 
 _REV = functor("rev", 1)
@@ -51,7 +51,7 @@ class PatternTransfer:
     """Transfer functions of patterns.
 
     Args:
-        tables: kinds of the events that only the program produces.
+        store: kinds of the events that only the program produces.
         signatures: types of the slots and declared arguments of events.
         goals: transfer functions of conditions and actions.
         conflicts: receives measured values that are no numbers.
@@ -59,12 +59,12 @@ class PatternTransfer:
 
     def __init__(
         self,
-        tables: FlowTables,
+        store: AbstractStore,
         signatures: EventSignatures,
         goals: GoalTransfer,
         conflicts: ConflictReporter,
     ):
-        self._tables = tables
+        self._store = store
         self._signatures = signatures
         self._goals = goals
         self._conflicts = conflicts
@@ -134,9 +134,9 @@ class PatternTransfer:
                 kinds = kinds_of_type(argument.value_type, f"{argument.name} of {declaration.key}")
                 environment.bind_slot(event, position, kinds)
             return True
-        if not self._tables.has_event(key):
+        if not self._store.has_event(key):
             return False
-        for position, kinds in enumerate(self._tables.read_event(key), 1):
+        for position, kinds in enumerate(self._store.read_event(key), 1):
             environment.bind_event_argument(event, position, kinds, f"argument {position} of {key}")
         return True
 

@@ -7,7 +7,7 @@ those of its body to its head.
 
 The transfer functions of patterns and goals (`pattern_transfer`, `goal_transfer`) evaluate the parts of the program
 (rules, clauses with variables, memories, states, goals) until nothing changes. A part is evaluated again if
-something that it has read (`value_flow_tables`) gets a new kind. Kinds are only added and their number is bounded, so
+something that it has read (`abstract_store`) gets a new kind. Kinds are only added and their number is bounded, so
 the time is linear in the size of the program, and recursion ends. Facts are read once.
 
 The results are upper bounds. Whatever is not known has all kinds: events of other programs (``input_event/1``, or no
@@ -23,12 +23,12 @@ from ...prolog.terms.term_traversal import variables
 from ...prolog.terms.types import TRUE, Atom, CompoundTerm, Functor, Term, deref
 from ..language.rule_heads import ALARMS, SYNCHRONIZED
 from .abstract_environment import Environment
+from .abstract_store import AbstractStore, EventSignatures, Values, Worklist
 from .created_event_values import CreatedEvents
 from .goal_transfer import GoalTransfer
 from .pattern_transfer import PatternTransfer
 from .program_model import NECK, EventConsumer, ProgramModel, SourceRule, SourceTerm, StateDeclaration, key_of
 from .value_conflict_reports import ConflictReporter, ProgramPart
-from .value_flow_tables import EventSignatures, FlowTables, Values, Worklist
 
 
 class _ClauseTerm(NamedTuple):
@@ -55,10 +55,10 @@ class ValueFlow:
         worklist = Worklist()
         signatures = EventSignatures(program)
         self._conflicts = conflicts = ConflictReporter(program)
-        self._tables = tables = FlowTables(program, goals, worklist)
-        self._created_events = CreatedEvents(tables, signatures, conflicts)
-        self._goals = GoalTransfer(program, tables, self._created_events, conflicts)
-        self._patterns = PatternTransfer(tables, signatures, self._goals, conflicts)
+        self._store = store = AbstractStore(program, goals, worklist)
+        self._created_events = CreatedEvents(store, signatures, conflicts)
+        self._goals = GoalTransfer(program, store, self._created_events, conflicts)
+        self._patterns = PatternTransfer(store, signatures, self._goals, conflicts)
         self.impossible_values: List[RuleError] = conflicts.impossible_values
         self.type_conflicts: List[RuleError] = conflicts.type_conflicts
         for clause in program.clauses:
@@ -67,22 +67,22 @@ class ValueFlow:
         for number in worklist.run(len(parts)):
             self._evaluate(parts[number])
         # The kinds are complete now, so that what has nothing in common never will.
-        tables.finish()
+        store.finish()
         conflicts.enable()
         for part in parts:
             self._evaluate(part)
 
     def kinds_of_event(self, key: Functor) -> Optional[Values]:
         """Return the kinds of the arguments of an event that only this program produces; None for other events."""
-        return self._tables.kinds_of_event(key)
+        return self._store.kinds_of_event(key)
 
     def _add_constants_of_fact(self, clause: SourceTerm) -> None:
         key = key_of(clause.head)
-        if key is not None and clause.parent[0] is not NECK and self._tables.has_predicate(key):
-            self._tables.add_fact(key, clause.head, clause.place_of)
+        if key is not None and clause.parent[0] is not NECK and self._store.has_predicate(key):
+            self._store.add_fact(key, clause.head, clause.place_of)
 
     def _evaluate(self, part: ProgramPart) -> None:
-        """Apply the transfer function of a part: add the values that it produces to the tables."""
+        """Apply the transfer function of a part: add the values that it produces to the store."""
         environment = Environment(part, self._conflicts)
         subject = part.subject
         if isinstance(subject, SourceRule):
@@ -120,7 +120,7 @@ class ValueFlow:
             return
         name = deref(consumer.term[4])
         if isinstance(name, Atom):
-            self._tables.add_record(name.name, output, environment)
+            self._store.add_record(name.name, output, environment)
 
     def _evaluate_state(self, state: StateDeclaration, environment: Environment) -> None:
         self._patterns.bind_event(state.form.begin_event, environment)
@@ -131,8 +131,8 @@ class ValueFlow:
     def _evaluate_clause(self, clause: _ClauseTerm, environment: Environment) -> None:
         self._goals.run(clause.parent, clause.position, environment)
         key = None if clause.head is None else key_of(clause.head)
-        if self._tables.has_predicate(key):
-            self._tables.add_clause(clause.head, environment)
+        if self._store.has_predicate(key):
+            self._store.add_clause(clause.head, environment)
 
 
 def _parts_of(program: ProgramModel) -> Iterator[ProgramPart]:

@@ -8,7 +8,7 @@ from typing import Callable, Deque, Iterable, Iterator, List, NamedTuple, Option
 from ...foundation.errors import RetalisError, UsageError
 from ...prolog.database.goal_terms import functor_of
 from ...prolog.database.predicate import Predicate
-from ...prolog.database.predicate_table import Database
+from ...prolog.database.predicate_database import Database
 from ...prolog.files.file_sandbox import FileSandbox
 from ...prolog.machine.machine import Machine
 from ...prolog.system.prolog_system import PrologSystem

@@ -43,6 +43,7 @@ from ..language.pattern_tree import RuleDefinition
 from ..language.rule_labels import RULE, Property, is_rule
 from ..network.event_rule import EventRule
 from ..rules.rule_base import RuleBase
+from .conditional_compilation_and_expansion import ConditionalCompilation, TermExpansion
 from .event_file_parser import (
     DIRECTIVES,
     PROPERTY_FACT,
@@ -57,7 +58,6 @@ from .event_file_parser import (
 )
 from .file_directives import Directives
 from .prolog_file_loader import PrologFileLoader, PrologSource
-from .source_preprocessing import ConditionalCompilation, TermExpansion
 
 if TYPE_CHECKING:
     from os import PathLike

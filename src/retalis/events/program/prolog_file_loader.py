@@ -19,6 +19,7 @@ from ..language.called_predicates import PredicateCall
 from ..language.pattern_parser import no_place
 from ..language.rule_labels import Property
 from ..rules.rule_base import RuleBase
+from .conditional_compilation_and_expansion import ConditionalCompilation, TermExpansion
 from .event_file_parser import (
     DIRECTIVES,
     EntryKind,
@@ -29,7 +30,6 @@ from .event_file_parser import (
     included_file_name,
 )
 from .file_directives import Directives, Goals
-from .source_preprocessing import ConditionalCompilation, TermExpansion
 
 if TYPE_CHECKING:
     from ...prolog.files.source_files import SourceFiles

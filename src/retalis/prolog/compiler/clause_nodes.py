@@ -2,7 +2,7 @@
 
 `BodyParser` turns the body of a clause into a list of nodes. A node records the variables that it needs, whether it
 can be written inline (as Python statements that leave no choice point), and whether it contains a cut of the clause.
-The generators (`body_code`, `inline_goals`, `predicate_functions`) walk the nodes and write code for them.
+The generators (`body_code`, `inline_goals`, `semidet_functions`) walk the nodes and write code for them.
 
 A cut names a `Height`: the height of the choice point stack at entry of the clause, or of the condition or ``once/1``
 around it. Control constructs nested deeper than `_MAX_CONTROL_DEPTH` and conjunctions that a module call expands to
@@ -52,7 +52,7 @@ from ..terms.types import (
 from ..terms.unification import unify
 
 if TYPE_CHECKING:
-    from .predicate_functions import FunctionCode
+    from .semidet_functions import FunctionCode
 
 PredicateFunction = Callable[..., Optional[bool]]
 """A predicate as a function of its arguments: whether there is a solution; None if the function cannot decide."""

@@ -293,7 +293,7 @@ def _write_output(scope: Scope, var: Var, value: str) -> None:
 
 
 def _write_function_call(scope: Scope, node: CallNode) -> None:
-    """Write a call of a predicate as a function; see `predicate_functions`."""
+    """Write a call of a predicate as a function; see `semidet_functions`."""
     result = scope.temp()
     scope.may_bind = True
     args = ", ".join([scope.build(arg) for arg in node.args])

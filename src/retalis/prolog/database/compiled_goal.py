@@ -17,7 +17,7 @@ from ..compiler.clause_nodes import BodyParser, CallNode, GoalNode, Height, need
 from ..compiler.code_scope import ClauseVariables, CompilationUnit, Scope
 from ..compiler.inline_goals import write_sequence
 from ..compiler.predicate_code import title_of
-from ..compiler.predicate_functions import (
+from ..compiler.semidet_functions import (
     body_cost,
     calls_in,
     function_parser,
@@ -30,7 +30,7 @@ from ..machine.resource_limits import LimitError
 from ..terms.term_traversal import copy, is_larger, resolve, variables
 from ..terms.types import Frame, Step, Term, Values, Var, deref, functor
 from ..terms.unification import undo
-from .predicate_table import Database
+from .predicate_database import Database
 
 if TYPE_CHECKING:
     from .predicate import Predicate

@@ -35,7 +35,7 @@ from .goal_terms import BODY_CONSTRUCTS, add_arguments, check_body
 from .just_in_time_bodies import JustInTimeBodies
 
 if TYPE_CHECKING:
-    from .predicate_table import Database
+    from .predicate_database import Database
 
 _CUT = functor("!", 0)
 _FAIL = functor("fail", 0)

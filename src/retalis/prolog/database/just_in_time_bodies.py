@@ -18,7 +18,7 @@ from ..terms.types import Frame, Lazy, Step, Term, Var, functor
 from .goal_terms import BODY_CONSTRUCTS
 
 if TYPE_CHECKING:
-    from .predicate_table import Database
+    from .predicate_database import Database
 
 _MAX_BODY_PARTS = 400
 """Size limit of bodies that are compiled; larger ones most likely contain data that was passed to them."""

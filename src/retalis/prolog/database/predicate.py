@@ -32,8 +32,8 @@ from .clause_index import (
 )
 
 if TYPE_CHECKING:
-    from ..compiler.predicate_functions import FunctionCode
-    from .predicate_table import Database
+    from ..compiler.semidet_functions import FunctionCode
+    from .predicate_database import Database
 
 NEVER_COMPILE = 1 << 62
 """Number of calls that no predicate reaches: a predicate with this limit is only interpreted."""

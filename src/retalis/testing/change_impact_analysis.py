@@ -38,6 +38,7 @@ from typing import (
 
 from ..engine.engine import Engine
 from ..engine.loaded_items import clause_key
+from ..events.checks.abstract_store import raised_event
 from ..events.checks.event_flow_checks import SUBSCRIBE_TO
 from ..events.checks.program_model import (
     MAX_SOURCE_CHARACTERS,
@@ -47,7 +48,6 @@ from ..events.checks.program_model import (
     subterms,
     wrap_term,
 )
-from ..events.checks.value_flow_tables import raised_event
 from ..events.knowledge.knowledge_base import OWN_EVENTS
 from ..events.knowledge.subscriptions import Subscription, SubscriptionKey
 from ..events.language.called_predicates import calls

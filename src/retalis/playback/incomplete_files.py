@@ -1,4 +1,4 @@
-"""Descriptions of the files of bags: their topics, and what is missing in a file that a crash has cut."""
+"""Incomplete files of bags: what is missing in a file that a crash has cut, and the exit status for it."""
 
 from typing import NamedTuple, Optional
 
@@ -58,25 +58,3 @@ class IncompleteFile(NamedTuple):
         if self.is_data_complete:
             losses.append("no message in it is lost")
         return ", ".join(losses) or "messages that the recorder had not written are lost"
-
-
-class Connection(NamedTuple):
-    """A topic of a file of a ROS 2 bag.
-
-    Attributes:
-        id: its number in the file.
-        topic: name of the topic.
-        type: message type, ``pkg/msg/Type``.
-        encoding: format of the definition: ``ros2msg``, ``ros2idl``, or empty.
-        definition: text of the definition, if the file contains it.
-        format: serialization format of the messages, ``cdr``.
-        messages: number of messages.
-    """
-
-    id: int
-    topic: str
-    type: str
-    encoding: str
-    definition: str
-    format: str
-    messages: int

@@ -14,6 +14,7 @@ from search_rounds import search_rounds
 from retalis import BagReader, BagWriter, Definitions, Playback, RetalisError, Term, functor
 from retalis.playback.bag_locations import Bag
 from retalis.prolog.syntax.term_writer import canonical_text
+from retalis.testing.change_impact_analysis import Extent
 from retalis.testing.output_changes import (
     Comparison,
     OutputChange,
@@ -22,7 +23,6 @@ from retalis.testing.output_changes import (
     compare_versions,
     find_changes,
 )
-from retalis.testing.program_difference import Extent
 
 CASES_PER_ROUND = 10
 

@@ -146,7 +146,7 @@ class PartResult(NamedTuple):
         return "+" if self.matches else "-"
 
 
-class WhyNot:
+class WhyNotMatched:
     """Evaluation of the parts of one rule's pattern.
 
     Args:

@@ -6,7 +6,7 @@ from typing import Any, Callable, Iterator, List
 
 import pytest
 
-from retalis.ros2.timers import TransportTimers
+from retalis.ros2.timer_thread import TransportTimers
 
 SECOND = 10**9
 

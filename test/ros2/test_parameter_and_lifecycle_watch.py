@@ -16,13 +16,13 @@ from rclpy.task import Future
 from ros2.rclpy_nodes import Network, wait_until
 
 from retalis.node.transport import GraphChange
-from retalis.ros2 import node_watch
-from retalis.ros2.node_watch import format_value
+from retalis.ros2 import parameter_and_lifecycle_watch
+from retalis.ros2.parameter_and_lifecycle_watch import format_value
 
 
 @pytest.fixture
 def network(domain: int, monkeypatch: pytest.MonkeyPatch) -> Iterator[Network]:
-    monkeypatch.setattr(node_watch, "CHECK_SECONDS", 0.02)
+    monkeypatch.setattr(parameter_and_lifecycle_watch, "CHECK_SECONDS", 0.02)
     network = Network()
     yield network
     network.close()
@@ -46,7 +46,7 @@ def test_state_of_unconfigured_node_is_reported(network: Network) -> None:
 
 
 def test_transitions_are_reported_once(network: Network, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(node_watch, "ASK_SECONDS", 0.02)
+    monkeypatch.setattr(parameter_and_lifecycle_watch, "ASK_SECONDS", 0.02)
     node = network.add_lifecycle_node("slam")
     changes = watch(network)
     wait_until(lambda: find_states(changes, "/slam"))
@@ -77,7 +77,7 @@ def add_node_with_state(network: Network, name: str, state: str) -> Any:
 def test_state_that_changes_without_event_is_reported(
     network: Network, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(node_watch, "ASK_SECONDS", 0.02)
+    monkeypatch.setattr(parameter_and_lifecycle_watch, "ASK_SECONDS", 0.02)
     changes = watch(network)
     for state in ("inactive", "active"):
         node = add_node_with_state(network, "planner", state)
@@ -87,8 +87,8 @@ def test_state_that_changes_without_event_is_reported(
 
 
 def test_nodes_without_answer_do_not_block_others(network: Network, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(node_watch, "MAX_CALLS", 1)
-    monkeypatch.setattr(node_watch, "MAX_ANSWER_SECONDS", 0.05)
+    monkeypatch.setattr(parameter_and_lifecycle_watch, "MAX_CALLS", 1)
+    monkeypatch.setattr(parameter_and_lifecycle_watch, "MAX_ANSWER_SECONDS", 0.05)
     never: Any = Future()
 
     async def answer(request: Any, response: Any) -> Any:
@@ -106,7 +106,7 @@ def test_nodes_without_answer_do_not_block_others(network: Network, monkeypatch:
 
 
 def test_nodes_beyond_limit_are_warned_of_once(network: Network, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(node_watch, "MAX_NODES", 1)
+    monkeypatch.setattr(parameter_and_lifecycle_watch, "MAX_NODES", 1)
     for name in ("one", "two"):
         network.add_lifecycle_node(name)
     changes = watch(network)

@@ -47,7 +47,7 @@ MAX_VALUE_CHARACTERS = 500
 Report = Callable[[GraphChange], object]
 
 
-class NodeWatch:
+class ParameterAndLifecycleWatch:
     """Watch of the parameters and life cycles of all nodes.
 
     Args:

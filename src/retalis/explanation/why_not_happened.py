@@ -16,7 +16,7 @@ from ..prolog.terms.types import Term, Trail, Var, deref, functor, functor_name
 from ..prolog.terms.unification import undo, unify
 from .derivation_tree import DerivationTrees
 from .explanation_lines import MAX_LINES_OF_A_KIND, ExplanationLine, ExplanationTexts
-from .why_not import PartResult, WhyNot
+from .why_not_matched import PartResult, WhyNotMatched
 from .why_not_published import WhyNotPublished, can_unify
 
 RequestedInterval = Tuple[int, int]
@@ -29,7 +29,7 @@ _COMMA_FUNCTOR = functor(",", 2)
 _ALARM_FUNCTORS = frozenset((functor("exceptionAlarm", 2), functor("exceptionAlarmAbsoluteDatime", 2)))
 
 
-class MissingEvents:
+class WhyNotHappened:
     """Explanations of events that did not happen; each missing event is explained once.
 
     Args:
@@ -126,8 +126,8 @@ class MissingEvents:
         self, rule: EventRule, interval: Optional[RequestedInterval], ancestors: Tuple[EventSource, ...]
     ) -> ExplanationLine:
         """Return why a rule, whose head is unified with the missing event, did not fire."""
-        why_not = WhyNot(self._program.logic, self._occurrences, rule, self._reference_time)
-        part = why_not.evaluate(rule.definition.pattern)
+        why_not_matched = WhyNotMatched(self._program.logic, self._occurrences, rule, self._reference_time)
+        part = why_not_matched.evaluate(rule.definition.pattern)
         line = ExplanationLine(self._texts.format_rule(rule), [self._explain_part(part, (*ancestors, rule))])
         if part.matches:
             line.below.append(ExplanationLine(f"- but {_explain_no_firing(rule, part, interval)}", []))

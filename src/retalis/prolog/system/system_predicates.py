@@ -50,7 +50,7 @@ from ..database.clause_index import Clause
 from ..database.goal_interpreter import control_predicates
 from ..database.goal_terms import functor_of, split_clause
 from ..database.predicate import Predicate
-from ..database.predicate_table import ISO_PREDICATES, Database
+from ..database.predicate_database import ISO_PREDICATES, Database
 from ..machine.machine import LAST, Code, Machine
 from ..machine.resource_limits import Budget
 from ..syntax.operators import Operators

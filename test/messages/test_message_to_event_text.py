@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from message_registries import decoder_of
 
 from retalis import MessageError, atom
-from retalis.messages.event_text_writer import make_text_writer, write_without_unread
+from retalis.messages.message_to_event_text import make_text_writer, write_without_unread
 from retalis.prolog.syntax.event_text import EventReader, event_text, to_text
 from retalis.prolog.terms.term_traversal import freeze
 from retalis.prolog.terms.timestamps import datime

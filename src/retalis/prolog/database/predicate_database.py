@@ -16,7 +16,7 @@ from typing import Any, Callable, Dict, Iterable, Optional, Set
 from weakref import WeakSet, WeakValueDictionary
 
 from ..compiler.clause_nodes import PROTECTED_PREDICATES
-from ..compiler.predicate_functions import FunctionCode
+from ..compiler.semidet_functions import FunctionCode
 from ..machine.errors import indicator, permission_error
 from ..machine.machine import Code, Machine
 from ..terms.types import CompoundTerm, Frame, Functor, Step, Term, deref, functor

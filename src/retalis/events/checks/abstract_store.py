@@ -1,8 +1,8 @@
-"""Tables of the value flow analysis: the kinds of the arguments of events, predicates and records of memories.
+"""Abstract store of the value flow analysis: the kinds of the arguments of events, predicates and memory records.
 
-A table has an entry for each event, predicate or memory whose values all come from the program. Events and predicates
-without an entry have unknown values. An entry begins with no values; the evaluation of rules and clauses adds kinds,
-and schedules the parts of the program that have read the entry.
+The store has an entry for each event, predicate or memory whose values all come from the program. Events and
+predicates without an entry have unknown values. An entry begins with no values; the evaluation of rules and clauses
+adds kinds, and schedules the parts of the program that have read the entry.
 """
 
 from collections import deque
@@ -34,7 +34,7 @@ _RULE_ADDING_GOALS = frozenset(
 class Worklist:
     """Worklist of a fixpoint computation: the numbers of the parts that have to be evaluated, in order.
 
-    It records which part has read which entry of a table, so that a changed entry schedules its readers only.
+    It records which part has read which entry of the store, so that a changed entry schedules its readers only.
     """
 
     def __init__(self) -> None:
@@ -64,7 +64,7 @@ class Worklist:
                 self._pending.append(number)
 
 
-class FlowTables:
+class AbstractStore:
     """Kinds of the arguments of events, predicates and records.
 
     Args:
@@ -107,12 +107,12 @@ class FlowTables:
         return self._events.get(key)
 
     def read_event(self, key: Functor) -> Values:
-        """Return the kinds of the arguments of an event of the table."""
+        """Return the kinds of the arguments of an event of the store."""
         self._record_read(("event", key))
         return self._events[key]
 
     def read_predicate(self, key: Functor) -> Values:
-        """Return the kinds of the arguments of a predicate of the table."""
+        """Return the kinds of the arguments of a predicate of the store."""
         self._record_read(("predicate", key))
         return self._predicates[key]
 
@@ -124,11 +124,11 @@ class FlowTables:
         return self._records[name]
 
     def add_event(self, event: CompoundTerm, environment: Environment) -> None:
-        """Add the arguments of an event of the table."""
+        """Add the arguments of an event of the store."""
         self._add(("event", event[0]), self._events[event[0]], event, environment)
 
     def add_clause(self, head: Any, environment: Environment) -> None:
-        """Add the arguments of the head of a clause of a predicate of the table."""
+        """Add the arguments of the head of a clause of a predicate of the store."""
         if head.__class__ is tuple:
             self._add(("predicate", head[0]), self._predicates[head[0]], head, environment)
 

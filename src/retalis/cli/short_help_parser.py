@@ -32,12 +32,12 @@ class _ShowAllHelp(argparse.Action):
 
     def __call__(self, parser: argparse.ArgumentParser, *arguments: Any) -> None:
         """Print the help and exit."""
-        assert isinstance(parser, CommandParser)
+        assert isinstance(parser, ShortHelpParser)
         parser.print_all_help(sys.stdout)
         parser.exit()
 
 
-class CommandParser(argparse.ArgumentParser):
+class ShortHelpParser(argparse.ArgumentParser):
     """Parser of a command.
 
     The first paragraph of the description is part of the short help, the rest and the epilog of the full one.
