@@ -42,6 +42,7 @@ ORDER = (
     "editing",
     "visualization",
     "dashboard",
+    "fleet",
     "node",
     "playback",
     "testing",
@@ -166,6 +167,17 @@ def test_only_package_ros2_imports_rclpy() -> None:
         if base.split(".")[0] == "rclpy"
     }
     assert importing == {"ros2"}
+
+
+def test_only_one_module_imports_flink() -> None:
+    """The other modules of the fleet run where Flink is not installed."""
+    importing = {
+        module.name
+        for module in MODULES.values()
+        for base, _ in module.imports
+        if base.split(".")[0] == "pyflink"
+    }
+    assert importing == {"fleet.flink_job"}
 
 
 def test_one_module_compiles_source() -> None:

@@ -1,38 +1,24 @@
-"""A fleet as a dataflow of Bytewax: an engine per robot, which resumes from its snapshot after a crash."""
+#!/usr/bin/env python3
+"""The fleet as a job of Apache Flink, from a file of events to files of outputs.
 
-import json
+fleet.py EVENTS OUTPUTS CHECKPOINTS [CHECKPOINT]    CHECKPOINT is one of CHECKPOINTS/*/chk-* to resume from
+"""
 
-import bytewax.operators as op
-from bytewax.connectors.files import FileSink, FileSource
-from bytewax.dataflow import Dataflow
-from robot import Robot
+import sys
+from pathlib import Path
 
-
-class RobotLogic(op.StatefulBatchLogic):
-    """State of a key in Bytewax: created from the last snapshot, if there is one."""
-
-    def __init__(self, state):
-        self._robot = Robot(state)
-
-    def on_batch(self, values):
-        """Process events of this robot; return the outputs, and the request to retain the state."""
-        outputs = [
-            output for event in values for output in self._robot.take(event["time"], event.get("event"))
-        ]
-        return outputs, self.RETAIN
-
-    def snapshot(self):
-        """Return the state, which Bytewax stores with the position in the stream."""
-        return self._robot.snapshot()
+from retalis.fleet.flink_job import create_environment, read_file, run_robots, write_files
 
 
-def flow(events, outputs, batch=1000):
-    """Return the dataflow from a file of events to a file of outputs, both JSON lines."""
-    fleet = Dataflow("fleet")
-    # By default the number of the disk identifies the file, and differs on another machine.
-    lines = op.input("read", fleet, FileSource(events, batch, get_fs_id=lambda folder: "any"))
-    by_robot = op.key_on("by_robot", op.map("parse", lines, json.loads), lambda event: event["robot"])
-    by_output = op.stateful_batch("engines", by_robot, RobotLogic)
-    texts = op.map("write", by_output, lambda pair: (pair[0], json.dumps({"robot": pair[0], **pair[1]})))
-    op.output("save", texts, FileSink(outputs))
-    return fleet
+def main(events, outputs, checkpoints, resume=None):
+    """Run the job to the end of the events."""
+    environment = create_environment(checkpoints, interval=1, resume=resume)
+    streams = run_robots(read_file(environment, events), Path(__file__).resolve().parent)
+    write_files(streams.outputs, Path(outputs) / "outputs", "outputs")
+    write_files(streams.late, Path(outputs) / "late", "late")
+    write_files(streams.failed, Path(outputs) / "failed", "failed")
+    environment.execute("fleet")
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])
