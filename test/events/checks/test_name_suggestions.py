@@ -11,8 +11,8 @@ from retalis.events.checks.condition_checks import find_impossible_conditions
 from retalis.events.checks.event_flow_checks import find_declaration_violations
 from retalis.events.checks.long_event_window_checks import find_windows_of_long_events
 from retalis.events.checks.number_type_checks import find_number_type_mismatches
-from retalis.events.checks.predicate_checks import find_constants_meant_as_variables
 from retalis.events.checks.program_model import FunctorSuggestions, ProgramModel
+from retalis.events.checks.variable_name_checks import find_constants_meant_as_variables
 from retalis.events.checks.variable_type_checks import find_type_conflicts
 from retalis.events.program.topic_configuration import Topics
 

@@ -1,4 +1,4 @@
-"""Checks of predicates: rule files that no goal reads, constants meant as variables, and counters."""
+"""Checks of predicates: rule files that no goal reads, calls of undefined predicates, and counters."""
 
 import os
 from pathlib import Path
@@ -77,42 +77,6 @@ def findings_of_rules(folder: Path, rules: Any, code: str, definitions: Any) -> 
     path = folder / "rules.txt"
     path.write_text(f"{rules}\n")
     return findings_of(path, code, definitions)
-
-
-@pytest.mark.parametrize(
-    ("rules", "name"),
-    [
-        ("hot(m) <- temp(m, T) where T > 40.", "m"),
-        ("hot(m) <- temp(m, T) where T > 40. cold(N) <- temp(N, T) where T < 4.", "m"),
-        ("hot(motor) <- temp(motor, T) where T > 40. cold(Motor) <- temp(Motor, T) where T < 4.", "motor"),
-        ("hot(t) <- temp(left, t).", "t"),
-        ("hot(m) <- temp(m, T) seq door(open) where T > 40.", "m"),
-    ],
-)
-def test_constant_meant_as_variable_is_reported(
-    tmp_path: Path, definitions: Definitions, rules: str, name: str
-) -> None:
-    (message,) = findings_of_rules(tmp_path, rules, "RT1408", definitions)
-    assert message.startswith(f"{name} is a constant")
-    assert message.endswith(f"write the variable {name.capitalize()}")
-
-
-@pytest.mark.parametrize(
-    "rules",
-    [
-        "hot(left) <- temp(left, T) where T > 40.",
-        "hot(M) <- temp(M, T) where T > 40.",
-        "hot <- temp(m, T) where T > 40.",
-        "hot(m) <- temp(_, T) where T > 40.",
-        "hot(a) <- temp(a, T) where T > 40. hot(b) <- temp(b, T) where T > 50.",
-        "hot(m) <- temp(m, T) where T > 40. motor(m).",
-        "hot(m) <- temp(m, T) where T > 40. temp(m, T) <- raw(T).",
-        ":- memorize(temp(m, T), [], T, heat, 5). hot(m) <- temp(m, T) where T > 40.",
-        "alarm(m) <- ok cnot temp(m, _).",
-    ],
-)
-def test_constant_that_is_known_is_not_reported(tmp_path: Path, definitions: Definitions, rules: str) -> None:
-    assert findings_of_rules(tmp_path, rules, "RT1408", definitions) == []
 
 
 COUNTER = "c(N) do (retract(count(M)), N is M + 1, assertz(count(N))) <- tick."

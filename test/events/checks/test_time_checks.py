@@ -1,4 +1,4 @@
-"""Checks of times: instants and cycles in long chains of rules, missed pairs, unbounded keys, and spans."""
+"""Checks of times: instants in long chains of rules, missed pairs, spans, and throttles without key."""
 
 from typing import Any, List, Optional
 
@@ -8,12 +8,10 @@ from retalis import Definitions, Engine, TopicType
 from retalis.events.checks.program_model import ProgramModel, RecordedTopic
 from retalis.events.checks.time_checks import (
     find_conditions_after_throttle,
-    find_cycles,
     find_impossible_pairs,
     find_likely_milliseconds,
     find_missed_pairs,
     find_throttles_without_key,
-    find_unbounded_keys,
 )
 from retalis.events.program.topic_configuration import Topics
 
@@ -23,14 +21,13 @@ CHAIN_LENGTH = 400
 
 CHAIN = [f"e{number + 1} <- e{number} where true." for number in range(CHAIN_LENGTH)]
 TWICE = [f"e{number + 1} <- e{number} check true." for number in range(40)]
-PLAIN = [f"f{number + 1} <- f{number}." for number in range(CHAIN_LENGTH)]
 
 
 def messages_of(*rules: Any) -> List[Any]:
     engine = Engine()
     engine.load(rules="\n".join(rules))
     program = ProgramModel(engine.rules, engine.knowledge, Definitions(), TOPICS)
-    return [error.message for error in (*find_impossible_pairs(program), *find_cycles(program))]
+    return [error.message for error in find_impossible_pairs(program)]
 
 
 @pytest.mark.slow
@@ -45,17 +42,6 @@ def test_event_of_two_rules_is_instant_if_both_are() -> None:
 
 def test_recursive_events_are_no_instants() -> None:
     assert messages_of(FIRST, "a <- b where true. b <- a where true. x <- a par b.") == []
-
-
-@pytest.mark.slow
-def test_cycle_after_long_chain_is_reported_once() -> None:
-    (message,) = messages_of(*PLAIN, f"g <- f{CHAIN_LENGTH}. g <- h. h <- g.")
-    assert message.startswith("these events fire each other (g/0 <- h/0 <- g/0)")
-
-
-def test_cycle_is_reported_once() -> None:
-    (message,) = messages_of(*PLAIN[:9], "f0 <- f9.")
-    assert message.startswith("these events fire each other (f1/0 <- f0/0 <- f9/0 <- ")
 
 
 PAIR = "near <- (std_msgs__0__String(_) and std_msgs__0__Bool(_)) within 0.1."
@@ -89,57 +75,6 @@ def test_message_pairs_under_default_policy_are_named() -> None:
 )
 def test_other_pairs_are_not_named(rules: str) -> None:
     assert missed(rules) == []
-
-
-def unbounded(rules: str, flags: Any = ()) -> List[Any]:
-    engine = Engine()
-    for flag, value in flags:
-        assert engine.call(f"set_etalis_flag({flag}, {value})")
-    engine.load(rules=rules)
-    program = ProgramModel(engine.rules, engine.knowledge, Definitions(), Topics())
-    return [error.message for error in find_unbounded_keys(program)]
-
-
-KEYED = [
-    "p(K) <- aggregate(count, q(K, V), _, steps([up where V == 1, down where V == 0])).",
-    "p(K, A) <- aggregate(avg(V), q(K, V), A, last(3, events)).",
-    "p(K, A) <- aggregate(avg(V), q(K, V), A, running(every(3, events))).",
-    "p(K, A) <- aggregate(avg(V), q(K, V), A, held(last(3))).",
-    "p(K) <- q(K, V) with change(V, f(K)).",
-    "p(K) <- aggregate(count, (q(K, V) with change(V, K)), _, last(3)) within 5.",
-    "p <- s cnot (q(K, V) with change(V, K)) within 5.",
-]
-
-
-@pytest.mark.parametrize("rule", KEYED)
-def test_state_of_keys_that_no_time_ends_is_named(rule: str) -> None:
-    (message,) = unbounded(rule)
-    assert "no time ends the state" in message
-    assert "property(ttl, SECONDS), or property(ttl, 0)" in message
-    assert unbounded(f"l([property(ttl, 5)]) : {rule}") == []
-    assert unbounded(f"l([property(ttl, 0)]) : {rule}") == []
-    assert unbounded(f"l([property(window, 5)]) : {rule}") == []
-    assert unbounded(rule, [("state_ttl", 5)]) == []
-    assert unbounded(rule, [("garbage_control", "general")]) == []
-
-
-@pytest.mark.parametrize(
-    "rule",
-    [
-        "p(A) <- aggregate(avg(V), q(_, V), A, last(3, events)).",
-        "p(A) <- aggregate(avg(V), q(left, V), A, last(3, events)).",
-        "p(K, A) <- aggregate(avg(V), q(K, V), A, last(3)).",
-        "p(K, A) <- aggregate(avg(V), q(K, V), A, every(3)).",
-        "p(K, A) <- aggregate(avg(V), q(K, V), A, held(last(3), max(9))).",
-        "p(K, A) <- aggregate(avg(V), q(K, V), A, held(every(3))).",
-        "p(K) <- q(K, V) with throttle(3, K).",
-        "p(V) <- q(_, V) with change(V).",
-        "p(K) <- (q(K, V) with change(V, K)) within 5.",
-        "p(K) <- (s(K) seq aggregate(count, q(K, V), _, last(3, events))) within 5.",
-    ],
-)
-def test_bounded_state_is_not_named(rule: str) -> None:
-    assert unbounded(rule) == []
 
 
 @pytest.mark.parametrize(

@@ -20,6 +20,7 @@ from ...foundation.errors import (
 )
 from ..program.topic_configuration import read_text
 from .condition_checks import find_impossible_conditions
+from .event_cycle_checks import find_cycles
 from .event_flow_checks import find_declaration_violations, find_unconsumed_events, find_unproduced_events
 from .long_event_window_checks import find_windows_of_long_events
 from .memory_checks import find_empty_memories, find_record_mismatches, find_unknown_memories
@@ -36,13 +37,11 @@ from .message_checks import (
 )
 from .number_type_checks import find_inexact_decimals, find_number_type_mismatches
 from .predicate_checks import (
-    find_constants_meant_as_variables,
     find_duplicate_labels,
     find_missing_first_clauses,
     find_never_asserted,
     find_operators_in_clauses,
     find_redefined_builtins,
-    find_singletons,
     find_undeclared_states,
     find_undefined_predicates,
     find_unloaded_rule_file,
@@ -51,17 +50,16 @@ from .program_model import MAX_SOURCE_CHARACTERS, ProgramModel
 from .stale_table_checks import find_stale_tables
 from .time_checks import (
     find_conditions_after_throttle,
-    find_cycles,
     find_impossible_pairs,
     find_invalid_timers,
     find_likely_milliseconds,
     find_missed_pairs,
     find_throttles_without_key,
-    find_unbounded_keys,
-    find_unbounded_waits,
     find_unlikely_spans,
 )
+from .unbounded_state_checks import find_unbounded_keys, find_unbounded_waits
 from .value_flow import find_conflicting_flows, find_impossible_flows
+from .variable_name_checks import find_constants_meant_as_variables, find_singletons
 from .variable_type_checks import find_type_conflicts
 
 ERROR, WARNING, INFO = "error", "warning", "info"

@@ -165,6 +165,14 @@ def wrap_term(term: Term) -> CompoundTerm:
     return (_WRAPPER, term)
 
 
+def operator_place(rule: SourceRule, operator: str) -> Optional[Place]:
+    """Return the place of the first occurrence of an operator in a rule."""
+    for subterm in subterms(wrap_term(rule.definition.term), 1, rule.place_of):
+        if subterm.term.__class__ is tuple and OPERATOR_NAMES.get(subterm.term[0]) == operator:
+            return subterm.place
+    return rule.definition.place
+
+
 class ParsedSources(NamedTuple):
     """Contents of the files of a program, with places; ``paths`` are the files that were parsed."""
 

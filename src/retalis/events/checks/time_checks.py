@@ -1,170 +1,41 @@
-"""Checks of times: endless cycles, intervals that cannot meet, windows, unbounded state, missed pairs, and timers.
+"""Checks of times: intervals that cannot meet, spans and windows, rate operators, missed pairs, and timers.
 
-* `find_cycles` searches for events that raise themselves without a condition, in the graph of rules with one event.
-* `find_impossible_pairs` computes which events are always instants (messages, and heads of rules on single instants),
-  and evaluates the comparisons of each operator for a small set of intervals that represents all possible orders.
-* `find_unbounded_waits` and `find_unbounded_keys` report partial matches and keyed states without any time bound.
+`find_impossible_pairs` computes which events are always instants (messages, and heads of rules on single instants),
+and evaluates the comparisons of each operator for a small set of intervals that represents all possible orders.
 """
 
-from collections import Counter
 from itertools import combinations_with_replacement
 from typing import Any, Dict, Iterator, List, NamedTuple, Optional, Set, Tuple
 
-from ...foundation.errors import Place, RuleError
+from ...foundation.errors import RuleError
 from ...foundation.ros_name_checks import strip_slashes
-from ...prolog.terms.term_traversal import copy, term_key, variables
-from ...prolog.terms.types import Atom, Functor, Term, Trail, Var, atom, deref, functor
-from ...prolog.terms.unification import undo, unify
+from ...prolog.terms.term_traversal import term_key, variables
+from ...prolog.terms.types import Atom, Functor, Var, atom, deref, functor
 from ..language.event_operators import OPERATOR_NAMES, PAIR_OPERATORS
 from ..language.pattern_tree import (
-    AbsencePattern,
     ActionPattern,
-    AggregatePattern,
     ConditionPattern,
     EventPattern,
-    InstantPattern,
-    KleenePattern,
-    NotPattern,
-    NotPrecededPattern,
     OrPattern,
     PairPattern,
     Pattern,
     RatePattern,
-    RepeatedPattern,
-    RuleDefinition,
-    WindowPattern,
-    WindowSpec,
     WithinPattern,
-    bound_by,
     children,
-    occurrences,
     walk,
 )
-from ..language.rule_heads import ALARMS, event_raised_by
+from ..language.rule_heads import event_raised_by
 from ..language.timer_schedules import TIMER, schedule_error
 from ..streams.rate_operators import RATE_OPERATORS
 from .condition_checks import IS, NUMERIC_COMPARISONS
-from .program_model import ProgramModel, SourceRule, Subterm, key_of, subterms, wrap_term
+from .program_model import ProgramModel, SourceRule, Subterm, key_of, operator_place, subterms, wrap_term
 from .value_flow import ValueFlow
 from .value_kinds import NUMBER
 
 SECONDS_PER_DAY = 86_400
 _UNIT_HINT = "spans are in seconds"
 _NEW_EVENT_INTERVAL = functor("new_event", 3)
-_UNRESTRICTED, _RECENT, _OFF = atom("unrestricted"), atom("recent"), atom("off")
-
-
-class _TriggerEdge(NamedTuple):
-    """Edge of the graph of events: an event that fires a rule alone and at once, and the head of the rule."""
-
-    rule: SourceRule
-    head: Term
-    event: Term
-
-
-def find_cycles(program: ProgramModel) -> Iterator[RuleError]:
-    """Yield rules by which an event raises itself immediately and without end."""
-    # Removing edges outside of cycles first keeps the search fast for programs with thousands of rules.
-    edges = _remove_acyclic_edges([edge for rule in program.rules for edge in _trigger_edges_of(rule)])
-    indices_by_event = _indices_by_event(edges)
-    reported: Set[int] = set()
-    for index, edge in enumerate(edges):
-        cycle = None if index in reported else _shortest_cycle(edges, indices_by_event, index)
-        if cycle is None or any(edge_index in reported for edge_index in cycle):
-            continue
-        reported.update(cycle)
-        names = " <- ".join(
-            str(key_of(edges[edge_index].head)) for edge_index in reversed([*cycle, cycle[0]])
-        )
-        subject = (
-            f"{key_of(edge.head)} fires itself"
-            if len(cycle) == 1
-            else f"these events fire each other ({names})"
-        )
-        yield RuleError(
-            f"{subject}, at once and without end: give the rule a condition (where) or another head",
-            edge.rule.definition.place,
-        )
-
-
-def _trigger_edges_of(rule: SourceRule) -> Iterator[_TriggerEdge]:
-    head = rule.definition.head
-    # Alarms and queries raise their event later, so a cycle through them takes time.
-    if head is None or key_of(head) in ALARMS or event_raised_by(head) is not deref(head):
-        return
-    for event in _events_sufficient_for(rule.definition.pattern):
-        if key_of(event) is not None and key_of(head) is not None:
-            yield _TriggerEdge(rule, head, event)
-
-
-def _events_sufficient_for(pattern: Pattern) -> Iterator[Term]:
-    """Yield the events that match a pattern on their own and unconditionally."""
-    if isinstance(pattern, EventPattern):
-        yield pattern.term
-    elif isinstance(pattern, OrPattern):
-        for branch in pattern.branches:
-            yield from _events_sufficient_for(branch)
-    elif isinstance(pattern, (WithinPattern, InstantPattern)) or (
-        isinstance(pattern, ActionPattern) and not pattern.every
-    ):
-        yield from _events_sufficient_for(pattern.pattern)
-
-
-def _indices_by_event(edges: List[_TriggerEdge]) -> Dict[Optional[Functor], List[int]]:
-    """Return the indices of the edges that begin at each functor."""
-    indices: Dict[Optional[Functor], List[int]] = {}
-    for index, edge in enumerate(edges):
-        indices.setdefault(key_of(edge.event), []).append(index)
-    return indices
-
-
-def _remove_acyclic_edges(edges: List[_TriggerEdge]) -> List[_TriggerEdge]:
-    """Return the edges that can be part of a cycle: all others are removed in topological order."""
-    producer_counts = Counter(key_of(edge.head) for edge in edges)
-    indices_by_event = _indices_by_event(edges)
-    removed: Set[int] = set()
-    # Kahn's algorithm: an edge that begins at an event without incoming edges is not part of a cycle.
-    sources = [key for key in indices_by_event if not producer_counts[key]]
-    while sources:
-        for index in indices_by_event.get(sources.pop(), ()):
-            removed.add(index)
-            key = key_of(edges[index].head)
-            producer_counts[key] -= 1
-            if not producer_counts[key]:
-                sources.append(key)
-    return [edge for index, edge in enumerate(edges) if index not in removed]
-
-
-def _shortest_cycle(
-    edges: List[_TriggerEdge], indices_by_event: Dict[Optional[Functor], List[int]], start: int
-) -> Optional[List[int]]:
-    """Return the indices of the edges of the shortest cycle through an edge, or None."""
-    predecessor: Dict[int, int] = {}
-    level = [start]
-    while level:
-        next_level = []
-        for index in level:
-            for next_index in indices_by_event.get(key_of(edges[index].head), ()):
-                edge = edges[next_index]
-                # Breadth first, so the first way back is the shortest.
-                if next_index == start and _may_trigger(edges[index], edge):
-                    cycle = [index]
-                    while cycle[-1] != start:
-                        cycle.append(predecessor[cycle[-1]])
-                    return cycle[::-1]
-                if next_index not in predecessor and next_index != start and _may_trigger(edges[index], edge):
-                    predecessor[next_index] = index
-                    next_level.append(next_index)
-        level = next_level
-    return None
-
-
-def _may_trigger(edge: _TriggerEdge, next_edge: _TriggerEdge) -> bool:
-    trail: Trail = []
-    # The functors are equal; the arguments may exclude each other.
-    unifies = unify(copy(edge.head), copy(next_edge.event), trail)
-    undo(trail, 0)
-    return bool(unifies)
+_RECENT = atom("recent")
 
 
 _SAMPLE_INSTANTS = [(instant, instant) for instant in range(3)]
@@ -175,7 +46,7 @@ def find_impossible_pairs(program: ProgramModel) -> Iterator[RuleError]:
     """Yield joins whose operands can never have the required intervals, because one operand is always an instant."""
     instants = _InstantEvents(program)
     for rule in program.rules:
-        for node in _walk_nodes(rule.definition.pattern):
+        for node in walk(rule.definition.pattern, negated=True):
             if isinstance(node, PairPattern) and node.operator in PAIR_OPERATORS:
                 left_is_instant, right_is_instant = (
                     instants.is_instant(node.left),
@@ -193,7 +64,7 @@ def find_impossible_pairs(program: ProgramModel) -> Iterator[RuleError]:
                     yield RuleError(
                         f"{node.operator} never matches here: {instant_sides}, and "
                         f"{PAIR_OPERATORS[node.operator].name} {requirement}",
-                        _operator_place(rule, node.operator),
+                        operator_place(rule, node.operator),
                     )
 
 
@@ -508,7 +379,7 @@ def find_throttles_without_key(program: ProgramModel) -> Iterator[RuleError]:
     for rule in program.rules:
         head = event_raised_by(rule.definition.head)
         head_vars = set() if head is None else set(variables(head))
-        for node in _walk_nodes(rule.definition.pattern):
+        for node in walk(rule.definition.pattern, negated=True):
             if isinstance(node, RatePattern) and node.operator in _TIMED_OPERATORS and not node.keys:
                 key_variable = _key_variable(program, rule, node.pattern, head_vars)
                 if key_variable is not None:
@@ -517,7 +388,7 @@ def find_throttles_without_key(program: ProgramModel) -> Iterator[RuleError]:
                     yield RuleError(
                         f"{notation}) has one state for all values of {name}, so that an event of one suppresses "
                         f"those of others; unless this is intended, write {notation}, {name})",
-                        _operator_place(rule, "with"),
+                        operator_place(rule, "with"),
                     )
 
 
@@ -554,118 +425,16 @@ def _variables_used_as_numbers(rule: SourceRule) -> Set[Var]:
     }
 
 
-def find_unbounded_waits(program: ProgramModel) -> Iterator[RuleError]:
-    """Yield rules whose partial matches are never dropped, neither by the consumption policy nor by time."""
-    flags = program.rule_base.flags
-    if flags.get("garbage_control") is not _OFF:
-        return
-    properties = program.rule_base.all_properties()
-    for rule in program.rules:
-        label = rule.definition.label
-        values = (
-            {} if label is None else {prop.name: prop.value for prop in properties.get(term_key(label), ())}
-        )
-        policy = values.get("policy", flags.get("event_consumption_policy"))
-        if policy is not _UNRESTRICTED or any("window" in name for name in values):
-            continue
-        node = _unbounded_join(rule.definition.pattern)
-        if node is not None:
-            operator = node.operator if isinstance(node, PairPattern) else "seq"
-            yield RuleError(
-                "partial matches of this pattern are kept forever: the policy is unrestricted, and no window ends "
-                "it; write (...) within SECONDS, or turn on garbage_control",
-                _operator_place(rule, operator),
-            )
-
-
-def find_unbounded_keys(program: ProgramModel) -> Iterator[RuleError]:
-    """Yield stream operators that keep a state for each value of a variable without a time bound.
-
-    A rule whose label has a time to live is not reported, even if that is 0: its state is intended.
-    """
-    flags = program.rule_base.flags
-    bounds = flags.key_bounds()
-    if flags.get("garbage_control") is not _OFF or bounds.max_idle_time is not None:
-        return
-    properties = program.rule_base.all_properties()
-    for rule in program.rules:
-        label = rule.definition.label
-        label_properties = () if label is None else properties.get(term_key(label), ())
-        # A window of the rule bounds its partial matches, and a time to live the states of keys.
-        if any(prop.name in ("window", "event_rule_window", "ttl") for prop in label_properties):
-            continue
-        for node in _operators_without_bound(rule.definition.pattern):
-            if _has_unbounded_keys(node, rule.definition):
-                yield RuleError(
-                    f"no time ends the state that is kept here for each key, up to {bounds.max_keys} keys; write "
-                    "(...) within SECONDS, or give the rule a label with property(ttl, SECONDS), or "
-                    "property(ttl, 0) if the keys are few",
-                    _operator_place(rule, "with")
-                    if isinstance(node, RatePattern)
-                    else _aggregate_place(rule),
-                )
-
-
-def _operators_without_bound(pattern: Pattern) -> Iterator[Pattern]:
-    """Yield the stream operators that are not inside a ``within``."""
-    stack: List[Tuple[Any, bool]] = [(pattern, False)]
-    while stack:
-        node, is_bounded = stack.pop()
-        if isinstance(node, (WindowPattern, RatePattern, AbsencePattern, NotPrecededPattern)):
-            if not is_bounded:
-                yield node
-            # A bound above other operators limits their inputs as well; above a stream operator, only its outputs.
-            is_bounded = False
-        elif isinstance(node, WithinPattern):
-            is_bounded = True
-        elif isinstance(node, InstantPattern):
-            is_bounded = False
-        stack += [(child, is_bounded) for child in reversed(children(node, False))]
-        if isinstance(node, (NotPattern, AbsencePattern, NotPrecededPattern)):
-            stack.append((node.negated, False))
-
-
-def _has_unbounded_keys(node: Pattern, definition: RuleDefinition) -> bool:
-    """Return whether a stream operator keeps a state for each value of a variable."""
-    if isinstance(node, RatePattern):
-        return node.operator == "change" and any(variables(term) for term in node.keys)
-    if not isinstance(node, WindowPattern) or not _has_lasting_keys(node.window):
-        return False
-    # A match that is not complete in time ends the state of its key.
-    if node.window.kind == "steps" and node.window.span:
-        return False
-    measured = [value for value in node.values if value is not None]
-    operator_counts = occurrences([*measured, *node.window.navigated_vars], node.collected)
-    head = [] if definition.head is None else [definition.head]
-    rule_counts = occurrences(head, definition.pattern)
-    return any(rule_counts[var] > operator_counts.get(var, 0) for var in bound_by(node.collected))
-
-
-def _has_lasting_keys(window: WindowSpec) -> bool:
-    """Return whether time alone does not end the state of a key."""
-    if window.kind == "held":
-        return not window.step and window.max_length is None
-    return window.kind in ("newest", "batch", "steps")
-
-
-def _aggregate_place(rule: SourceRule) -> Optional[Place]:
-    """Return the place of the first aggregate in a rule."""
-    for subterm in subterms(wrap_term(rule.definition.term), 1, rule.place_of):
-        if subterm.term.__class__ is tuple and subterm.term[0].name == "aggregate":
-            return subterm.place
-    return rule.definition.place
-
-
 def find_conditions_after_throttle(program: ProgramModel) -> Iterator[RuleError]:
     """Yield conditions on the output of ``throttle``: a match that fails them has suppressed others."""
     for rule in program.rules:
-        for node in _walk_nodes(rule.definition.pattern):
+        for node in walk(rule.definition.pattern, negated=True):
             limited = node.pattern if isinstance(node, ConditionPattern) else None
             if isinstance(limited, RatePattern) and limited.operator == "throttle":
                 yield RuleError(
                     "throttle is applied before the condition: a match that fails the condition suppresses later "
                     "ones that satisfy it; write (Pattern where Goal) with throttle(...), unless this is intended",
-                    _operator_place(rule, "with"),
+                    operator_place(rule, "with"),
                 )
 
 
@@ -687,13 +456,13 @@ def find_missed_pairs(program: ProgramModel) -> Iterator[RuleError]:
                 "under the policy recent a message is used for one pair only, so messages of topics with different "
                 "rates miss partners within the time; for all pairs give the rule a label with "
                 "property(policy, unrestricted), or property(policy, recent) if this is intended",
-                _operator_place(rule, "and"),
+                operator_place(rule, "and"),
             )
 
 
 def _pairs_messages(program: ProgramModel, pattern: Pattern) -> bool:
     """Return whether a pattern joins messages of two topics by ``and`` within a span of time."""
-    for node in _walk_nodes(pattern):
+    for node in walk(pattern, negated=True):
         if not isinstance(node, WithinPattern):
             continue
         joined = node.pattern
@@ -704,39 +473,6 @@ def _pairs_messages(program: ProgramModel, pattern: Pattern) -> bool:
             if all(keys and all(_is_message(program, key) for key in keys) for keys in sides):
                 return True
     return False
-
-
-def _unbounded_join(pattern: Pattern) -> Optional[Pattern]:
-    """Return the first part of a pattern that joins events and is not inside a ``within``, or None."""
-    stack: List[Any] = [pattern]
-    while stack:
-        node = stack.pop()
-        if isinstance(node, WithinPattern):
-            # A bound above an instant does not limit the matches below it.
-            stack += [part.pattern for part in walk(node) if isinstance(part, InstantPattern)]
-            continue
-        # These store partial matches; alternatives and conditions store nothing.
-        if isinstance(node, (PairPattern, KleenePattern, AggregatePattern, RepeatedPattern)):
-            join: Pattern = node
-            return join
-        stack += reversed(children(node, False))
-    return None
-
-
-def _walk_nodes(pattern: Pattern) -> Iterator[Pattern]:
-    stack: List[Any] = [pattern]
-    while stack:
-        node = stack.pop()
-        yield node
-        stack += reversed(children(node))
-
-
-def _operator_place(rule: SourceRule, operator: str) -> Optional[Place]:
-    """Return the place of the first occurrence of an operator in a rule."""
-    for subterm in subterms(wrap_term(rule.definition.term), 1, rule.place_of):
-        if subterm.term.__class__ is tuple and OPERATOR_NAMES.get(subterm.term[0]) == operator:
-            return subterm.place
-    return rule.definition.place
 
 
 def find_invalid_timers(program: ProgramModel) -> Iterator[RuleError]:
