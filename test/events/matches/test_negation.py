@@ -374,6 +374,24 @@ def test_overlapping_event_excludes_match(rule: str, stream: str, expected: str)
     assert outputs_of(rule, stream) == expected
 
 
+@pytest.mark.parametrize("flag", [None, "out_of_order", "revision_flag", "etalis_justification"])
+@pytest.mark.parametrize(
+    ("pattern", "stream", "expected"),
+    [
+        ("(a(X) seq at_end(b(X))) cnot at_start(b(X))", "a(1)@1 b(1)@2-3 a(2)@5 b(2)@4-6", "d@5-6"),
+        (
+            "(a(X) seq at_end(b(Y))) cnot at_start(b(Z) where Z > X)",
+            "a(1)@1 b(1)@2-3 a(1)@4 b(2)@5-6",
+            "d@1-3",
+        ),
+        ("a(X) seq ((at_end(b(_)) and e) fnot at_start(b(X)))", "a(1)@1 e@3 b(1)@2-4 b(2)@5-6", ""),
+        ("(a(X) and at_end(b(X))) fnot at_start(b(X))", "a(1)@3 b(1)@2-4 a(2)@5 b(2)@6-7", "d@5-7"),
+    ],
+)
+def test_event_excludes_before_it_completes(pattern: str, stream: str, expected: str, flag: Any) -> None:
+    assert ProgramRunner(f"d <- {pattern}.", [flag] if flag else []).feed(stream) == expected
+
+
 def test_excluded_partner_of_without_remains() -> None:
     program = ProgramRunner("d(X) <- (a(X) seq b) without r.", policy="chronological")
     assert program.feed("a(1)@1 r@2 a(2)@3 b@4") == "d(2)@3-4"

@@ -73,6 +73,8 @@ class BuiltPattern(NamedTuple):
         joined_leaves: event nodes whose events complete matches of several events, in the order of dispatch.
         single_leaves: event nodes whose matches are passed on one by one.
         branch_leaves: all event nodes of an ``or``, branch by branch; else None.
+
+    The event nodes of negated patterns are not among the leaves, see `NegatedPattern`.
     """
 
     node: NetworkNode
@@ -87,22 +89,6 @@ class BuiltPattern(NamedTuple):
         if self.branch_leaves is not None:
             return self.branch_leaves
         return [*self.joined_leaves, *self.single_leaves]
-
-    def with_leaves_before(self, negated: "Sequence[NegatedPattern]") -> "BuiltPattern":
-        """Return the result with the event nodes of negated patterns first: an event excludes before it completes."""
-        leaves = [leaf for pattern in negated for leaf in pattern.first.leaves]
-        branch_leaves = self.branch_leaves if self.branch_leaves is None else [*leaves, *self.branch_leaves]
-        return self._replace(joined_leaves=[*leaves, *self.joined_leaves], branch_leaves=branch_leaves)
-
-    def with_negated(
-        self, node: NetworkNode, deferred: "List[DeferredCondition]", negated: "BuiltPattern"
-    ) -> "BuiltPattern":
-        """Return the result for a node above this one and above a negated pattern."""
-        joined_leaves = [*self.joined_leaves, *negated.leaves]
-        branch_leaves = self.branch_leaves
-        if branch_leaves is not None:
-            branch_leaves = [*branch_leaves, *negated.leaves]
-        return BuiltPattern(node, deferred, joined_leaves, self.single_leaves, branch_leaves)
 
 
 class RepetitionItems:
@@ -127,21 +113,25 @@ class RepetitionItems:
 class NegatedPattern:
     """A negated pattern, which is built once for each place that tests it: each has nodes of its own.
 
+    An event that is part of a negated match and of another one is part of the negated one first: with instants, the
+    start of an event may lie in a gap that ends with the end of the same event. All event nodes of negated patterns
+    therefore receive each event before the others, those of inner negated patterns first.
+
     Args:
         build: builds the nodes.
-        copies: receives each further copy together with the first one.
         nodes: nodes of the rule, to which the built nodes are added.
+        negated_leaves: event nodes of the negated patterns of the rule, to which those of this pattern are added.
     """
 
     def __init__(
         self,
         build: Callable[[], BuiltPattern],
-        copies: List[Tuple[BuiltPattern, BuiltPattern]],
         nodes: Sequence[BoundedNode],
+        negated_leaves: List[EventNode],
     ):
         self._nodes = nodes
         self._build = build
-        self._copies = copies
+        self._negated_leaves = negated_leaves
         self._first_is_used = False
         self.first = self._build_negated()
 
@@ -153,6 +143,7 @@ class NegatedPattern:
             node.is_negated = True
             for buffer in node.buffers():
                 buffer.is_negated = True
+        self._negated_leaves += built.leaves
         return built
 
     def next_copy(self) -> BuiltPattern:
@@ -160,9 +151,7 @@ class NegatedPattern:
         if not self._first_is_used:
             self._first_is_used = True
             return self.first
-        copy = self._build_negated()
-        self._copies.append((copy, self.first))
-        return copy
+        return self._build_negated()
 
     def find_missing_vars(self, context: AbstractSet[Var], known_vars: Set[Var]) -> Set[Var]:
         """Return the variables of a context that the pattern uses and that are not known."""

@@ -103,12 +103,10 @@ class SplitConditions(NamedTuple):
     Attributes:
         conditions: all conditions in order, deferred ones as `DeferredCondition`.
         deferred: the deferred ones alone.
-        negated: the negated patterns of ``without``.
     """
 
     conditions: List[TestedCondition]
     deferred: List[DeferredCondition]
-    negated: List[NegatedPattern]
 
 
 class RuleCompiler(StreamCompiler):
@@ -123,7 +121,7 @@ class RuleCompiler(StreamCompiler):
         nodes: all nodes with their bounds.
         stream_nodes: the operators on streams in the order of their alarms. As for events, the right
             operand of a pair precedes the left one: a match is completed before it is replaced.
-        copies: further copies of negated patterns, each with the first one.
+        negated_leaves: event nodes of negated patterns, in the order of dispatch.
     """
 
     def __init__(self, rule: "EventRule", head: List[Term], pattern: Pattern):
@@ -134,7 +132,7 @@ class RuleCompiler(StreamCompiler):
         self._match_keys = MatchKeys(self.shared_vars)
         self.nodes: List[BoundedNode] = []
         self.stream_nodes: List[StreamNode] = []
-        self.copies: List[Tuple[BuiltPattern, BuiltPattern]] = []
+        self.negated_leaves: List[EventNode] = []
         self._bindable_vars_cache: Dict[int, VarSet] = {}
 
     def build(self) -> NetworkNode:
@@ -142,14 +140,10 @@ class RuleCompiler(StreamCompiler):
         built = self._build(self.pattern, frozenset(), UNLIMITED)
         if built.deferred:
             raise RuleError("a condition uses variables that no pattern to its left binds", self.rule.place)
-        for rank, leaf in enumerate(built.leaves):
+        for rank, leaf in enumerate([*self.negated_leaves, *built.leaves]):
             leaf.rank = rank
         for position, stream in enumerate(self.stream_nodes):
             stream.position = position
-        # Copies of a negated pattern receive an event together with the first one, whichever node tests them.
-        for built_copy, first in self.copies:
-            for leaf, first_leaf in zip(built_copy.leaves, first.leaves):
-                leaf.rank = first_leaf.rank
         node = root = built.node
         # Filters and goals of the whole pattern see only complete matches, so they test the window of the label.
         while isinstance(node, (ActionNode, FilterNode, EarlyTestNode)):
@@ -300,7 +294,7 @@ class RuleCompiler(StreamCompiler):
         """
         if isinstance(unwrapped.pattern, WindowPattern):
             max_interval = smaller_bound(max_interval, unwrapped.pattern.window.max_duration)
-        conditions, newly_deferred, negated = self._split(
+        conditions, newly_deferred = self._split(
             unwrapped.conditions, unwrapped.pattern, context, built.deferred
         )
         node = built.node
@@ -327,8 +321,7 @@ class RuleCompiler(StreamCompiler):
                 value_vars = compiled_test[1]
         if tests or unwrapped.span is not None:
             node = self._add(FilterNode(node, value_vars, tests, self.shared_vars), unwrapped.span, UNLIMITED)
-        built = built._replace(node=node, deferred=[*built.deferred, *newly_deferred])
-        return built.with_leaves_before(negated) if negated else built
+        return built._replace(node=node, deferred=[*built.deferred, *newly_deferred])
 
     def _split(
         self,
@@ -346,9 +339,8 @@ class RuleCompiler(StreamCompiler):
             deferred_below: conditions below that are tested further up.
         """
         if not conditions:
-            return SplitConditions([], [], [])
+            return SplitConditions([], [])
         assigned: List[TestedCondition] = []
-        negated_patterns: List[NegatedPattern] = []
         # A deferred goal binds its variables further up only.
         unbound_vars = {
             var for below in deferred_below if below.goal is not None for var in variables(below.goal)
@@ -360,7 +352,6 @@ class RuleCompiler(StreamCompiler):
             if isinstance(condition, NotPattern):
                 inner_context = context | frozenset(bound_by(condition.pattern))
                 negated = self._make_negated(condition, inner_context, UNLIMITED)
-                negated_patterns.append(negated)
                 missing_vars = negated.find_missing_vars(context | unbound_vars, known_vars)
                 assigned.append(
                     self._defer(missing_vars, negated=negated, scope=NegationScope.OVERLAP)
@@ -377,7 +368,7 @@ class RuleCompiler(StreamCompiler):
                 assigned.append(condition)
                 known_vars |= goal_vars
         deferred = [condition for condition in assigned if isinstance(condition, DeferredCondition)]
-        return SplitConditions(assigned, deferred, negated_patterns)
+        return SplitConditions(assigned, deferred)
 
     def _compile_test(
         self,
@@ -461,9 +452,7 @@ class RuleCompiler(StreamCompiler):
         testable, deferred = (
             split_testable(deferred_below, always_bound, context) if deferred_below else ([], [])
         )
-        conditions, newly_deferred, overlap_negated = self._split(
-            unwrapped.conditions, pair, context, deferred
-        )
+        conditions, newly_deferred = self._split(unwrapped.conditions, pair, context, deferred)
         negated: Optional[NegatedPattern] = None
         required_vars: Set[Var] = set()
         if unwrapped.negated is not None:
@@ -504,9 +493,7 @@ class RuleCompiler(StreamCompiler):
                 node, DeferredCondition(required_vars, None, *gap, negated), conditions
             )
         joined_leaves = order_for_dispatch(PAIR_OPERATORS[pair.operator].completes_in_any_order, left, right)
-        if negated is not None:
-            joined_leaves += negated.first.leaves
-        return BuiltPattern(node, deferred, joined_leaves, []).with_leaves_before(overlap_negated)
+        return BuiltPattern(node, deferred, joined_leaves, [])
 
     def _make_negated(
         self,
@@ -520,7 +507,7 @@ class RuleCompiler(StreamCompiler):
                 return built._replace(node=self._add(EndNode(built.node), None, UNLIMITED))
             return built
 
-        return NegatedPattern(build, self.copies, self.nodes)
+        return NegatedPattern(build, self.nodes, self.negated_leaves)
 
     def _test_joined(
         self,
@@ -569,14 +556,14 @@ class RuleCompiler(StreamCompiler):
             node: NetworkNode = self._add(
                 NotNode(self.rule, below.node, built.node, negation), None, UNLIMITED
             )
-            return below.with_negated(node, below.deferred, negated.first)
+            return below._replace(node=node)
         gap_condition = self._defer(missing_vars, negated=negated)
         node = self._add_bind_node(below.node, gap_condition)
         if gap_condition.may_be_testable(node.vars):
             negations: DeferredNegations = []
             test, _ = compile_early_test(self.rule, negations, gap_condition, node.vars)
             node = self._add(EarlyTestNode(self.rule, node, test, negations), None, UNLIMITED)
-        return below.with_negated(node, [*below.deferred, gap_condition], negated.first)
+        return below._replace(node=node, deferred=[*below.deferred, gap_condition])
 
     def _build_kleene(
         self,
@@ -633,9 +620,7 @@ class RuleCompiler(StreamCompiler):
             )
         else:
             node.set_result_layout(outside_vars, None, None, passed_on_items)
-        conditions, newly_deferred, overlap_negated = self._split(
-            unwrapped.conditions, unwrapped.pattern, context, deferred
-        )
+        conditions, newly_deferred = self._split(unwrapped.conditions, unwrapped.pattern, context, deferred)
         for condition in newly_deferred:
             node.add_interval_vars(condition.start, condition.end)
         for condition in first.deferred:
@@ -649,7 +634,7 @@ class RuleCompiler(StreamCompiler):
                 node.add_test(*compiled_test, uses_result)
         return BuiltPattern(
             node, [*deferred, *newly_deferred], [*repeated.leaves, *first.joined_leaves], first.single_leaves
-        ).with_leaves_before(overlap_negated)
+        )
 
     def _find_outside_vars(self, pattern: Pattern, values: Sequence[Term] = ()) -> Set[Var]:
         """Return the variables that are used in the rule outside of a pattern and of the given terms."""

@@ -703,6 +703,6 @@ class StreamCompiler:
         node.deferred_negations = negation.deferred_negations
         if isinstance(pattern, NotPrecededPattern):
             self._add(node, None, Retention(max_interval, max_interval))
-            return below._replace(node=node).with_leaves_before([negated])
+            return below._replace(node=node)
         self._add(node, None, UNLIMITED)
-        return BuiltPattern(node, below.deferred, [*negated.first.leaves, *below.leaves], [])
+        return BuiltPattern(node, below.deferred, below.leaves, [])
