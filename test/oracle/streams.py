@@ -9,6 +9,7 @@ from typing import Any, Callable, Dict, List, Optional, Sequence, Tuple
 
 from retalis import Term, Var, list_items, make_list
 from retalis.prolog.terms.term_traversal import variables
+from retalis.prolog.terms.timestamps import SECOND
 
 from .goals import Bindings, GoalError, instance, number, show, solve, unbound, unify
 from .matches import EMPTY_RESULTS, NUMERIC, RESULTS, Event, Match
@@ -617,9 +618,14 @@ class Streams(IdentifyingRepetitions):
 
 
 def seconds_of(node: Awaited, match: Match) -> Any:
-    """Return the seconds of an absence after a match; None if its variable has no positive number."""
+    """Return the seconds of an absence after a match; None if its variable has no positive number.
+
+    Time: instants are whole nanoseconds, so a time that is no multiple of them is rounded.
+    """
     value = instance(node.seconds, match.bindings) if node.seconds.__class__ is Var else node.seconds
-    return Fraction(value) if isinstance(value, (int, float, Fraction)) and value > 0 else None
+    if not isinstance(value, (int, float, Fraction)) or value <= 0:
+        return None
+    return Fraction(round(Fraction(value) * SECOND), SECOND) or None
 
 
 def patterns_from_below(node: Pattern) -> List[Pattern]:

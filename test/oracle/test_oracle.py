@@ -4,16 +4,20 @@ The expected texts list the derived events in order.
 """
 
 from dataclasses import replace
+from fractions import Fraction
 from typing import Any, Dict
 
 import pytest
 from oracle.evaluator import run
 from oracle.goals import GoalError, number
-from oracle.matches import POLICIES
+from oracle.matches import POLICIES, Match
+from oracle.patterns import Awaited, Leaf
 from oracle.rule_notation import brief, rule, stream
+from oracle.streams import seconds_of
 
-from retalis import Operators
+from retalis import Operators, Var, atom
 from retalis.prolog.syntax.term_reader import read_term
+from retalis.prolog.terms.timestamps import SECOND
 
 
 def fired(
@@ -290,6 +294,18 @@ def test_rule_uses_its_own_policy() -> None:
         [replace(own, policy="chronological")], stream("a(1)@1 a(2)@2 b@3 b@9 a(4)@8"), policy="recent"
     )
     assert brief(event for event in derived if "out" in event[0]) == "out(1)@1-3 out(2)@2-9 out(4)@8-9"
+
+
+def test_time_of_absence_is_a_whole_number_of_nanoseconds() -> None:
+    seconds = Var()
+    absence = Awaited(Leaf(atom("a")), Leaf(atom("b")), seconds)
+
+    def time_of(value: Any) -> Any:
+        return seconds_of(absence, Match(0, 0, {seconds: value}, (), frozenset(), ()))
+
+    assert time_of(1 / 3) == Fraction(333_333_333, SECOND)
+    assert time_of(1.5) == Fraction(3, 2)
+    assert time_of(1e-12) is time_of(-1) is time_of(atom("x")) is None
 
 
 def test_derived_events_match_other_rules() -> None:

@@ -152,6 +152,15 @@ def test_invalid_time_of_absence_is_reported_and_skipped() -> None:
     assert "absent: the time is the atom 'x': expected a positive number of seconds" in engine.problems[0]
 
 
+def test_variable_time_of_absence_is_rounded_to_nanoseconds() -> None:
+    engine, ends = Engine(), []
+    engine.load(rules="o <- in(N) seq absent(no, N).")
+    engine.on_event(lambda term, start, end: ends.append(end))
+    engine.event("in(0.3333333333333333)", 21)
+    engine.event("tick", 30)
+    assert ends[1] == 21 * SECOND + 333_333_333
+
+
 def test_absence_with_variable_forgets_old_events() -> None:
     engine = EngineDriver("o(X) <- in(X, N) seq absent(no(X), N).")
     for second in range(1000):
