@@ -6,7 +6,7 @@ from typing import Any, List, Match, NoReturn, Optional, Tuple, TypeVar, Union
 import pytest
 
 from retalis import Atom, Engine, RetalisError, StreamClock, Term, deref, list_items
-from retalis.foundation.errors import Place
+from retalis.foundation.source_places import Place
 from retalis.prolog.terms.types import Lazy
 
 Value = TypeVar("Value")

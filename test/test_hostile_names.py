@@ -32,7 +32,7 @@ from retalis import (
 from retalis.events.program.topic_configuration import read_topics, topic_type
 from retalis.foundation import codegen
 from retalis.foundation.bounded_caches import Cache
-from retalis.foundation.errors import printable
+from retalis.foundation.displayed_text import printable
 from retalis.messages.message_to_event_text import make_text_writer
 from retalis.messages.type_registry import parse_ros2_type
 from retalis.prolog.syntax.term_reader import read_term

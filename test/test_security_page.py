@@ -16,7 +16,8 @@ from retalis.events.language import state_parser
 from retalis.events.program import topic_configuration
 from retalis.events.rules import timer_service
 from retalis.foundation import errors, ros_name_checks
-from retalis.foundation.errors import MAX_MESSAGE_CHARACTERS, MAX_SHOWN_CHARACTERS
+from retalis.foundation.displayed_text import MAX_SHOWN_CHARACTERS
+from retalis.foundation.errors import MAX_MESSAGE_CHARACTERS
 from retalis.messages import type_definition, type_registry
 from retalis.prolog.builtins import text_arguments, text_streams
 from retalis.prolog.machine import arithmetic

@@ -38,7 +38,6 @@ if TYPE_CHECKING:  # for type checkers; a program gets them by `__getattr__`
     from .foundation.errors import (
         MessageError,
         Omission,
-        Place,
         ProgramErrors,
         RetalisError,
         RuleError,
@@ -47,6 +46,7 @@ if TYPE_CHECKING:  # for type checkers; a program gets them by `__getattr__`
     )
     from .foundation.garbage_collection import collect_when_idle, limit_gc_pauses, restore_gc
     from .foundation.interrupts import deferred_interrupts
+    from .foundation.source_places import Place
     from .messages.decoder import Decoder
     from .messages.encoder import Encoder
     from .messages.type_definition import Definition
@@ -162,7 +162,7 @@ _MODULES = {
     "OnOutput": "engine.engine",
     "Operators": "prolog.syntax.operators",
     "Output": "playback.playback",
-    "Place": "foundation.errors",
+    "Place": "foundation.source_places",
     "Playback": "playback.playback",
     "ProgramErrors": "foundation.errors",
     "PrologError": "prolog.machine.errors",

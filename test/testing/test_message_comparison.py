@@ -5,7 +5,7 @@ from typing import Any, Mapping, Optional
 import pytest
 
 from retalis import Definitions
-from retalis.foundation.errors import Place
+from retalis.foundation.source_places import Place
 from retalis.testing.case_definition import Tolerance
 from retalis.testing.message_comparison import SlotComparison
 from retalis.testing.yaml_documents import CaseFileError, parse_yaml

@@ -5,7 +5,7 @@ from typing import Any
 import pytest
 
 from retalis import Definitions
-from retalis.foundation.errors import Place
+from retalis.foundation.source_places import Place
 from retalis.messages.message_dictionaries import read_message_term
 from retalis.testing.case_definition import CaseMessage
 from retalis.testing.message_values import make_input_message

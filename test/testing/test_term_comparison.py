@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from retalis.foundation.errors import Place
+from retalis.foundation.source_places import Place
 from retalis.prolog.syntax.operators import Operators
 from retalis.prolog.syntax.term_reader import read_term
 from retalis.testing.case_definition import TermText, Tolerance

@@ -38,7 +38,8 @@ from ..engine.engine_settings import Settings
 from ..engine.run_records import RunRecord, open_records
 from ..events.program.topic_configuration import TopicType, topic_type
 from ..explanation.event_explanations import explain, record_origins
-from ..foundation.errors import RetalisError, UsageError, quote_shortened
+from ..foundation.displayed_text import quote_shortened
+from ..foundation.errors import RetalisError, UsageError
 from ..foundation.garbage_collection import limit_gc_pauses, restore_gc
 from ..foundation.interrupts import check_interrupt, interruptible
 from ..foundation.output_files import print_json

@@ -13,7 +13,8 @@ from ..engine.program_check import check_program
 from ..events.checks.check_runner import ERROR, INFO, Finding
 from ..events.checks.program_model import RecordedTopic
 from ..events.language.rule_labels import rule_title
-from ..foundation.errors import MessageError, format_count, printable
+from ..foundation.displayed_text import format_count, printable
+from ..foundation.errors import MessageError
 from ..foundation.output_files import print_json
 from ..messages.type_registry import Definitions
 from ..playback.bag_locations import open_bag

@@ -12,7 +12,8 @@ from pathlib import Path
 from typing import Any, Callable, Dict, Iterable, List, Optional, Tuple
 from xml.etree import ElementTree
 
-from ..foundation.errors import RetalisError, quote_shortened
+from ..foundation.displayed_text import quote_shortened
+from ..foundation.errors import RetalisError
 from ..foundation.garbage_collection import stop_limiting_gc_pauses
 from ..foundation.interrupts import EXIT_STATUS, interruptible
 from ..foundation.output_files import GuardedOutput, OutputFailed

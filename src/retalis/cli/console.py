@@ -20,7 +20,8 @@ from ..engine.engine_settings import Settings
 from ..engine.runtime.problem_reports import Reports
 from ..events.clock.clock import Clock
 from ..events.rules.event_input_predicates import event_of
-from ..foundation.errors import ProgramErrors, RetalisError, RuleError, SyntaxFault, UsageError, printable
+from ..foundation.displayed_text import printable
+from ..foundation.errors import ProgramErrors, RetalisError, RuleError, SyntaxFault, UsageError
 from ..foundation.garbage_collection import limit_gc_pauses
 from ..foundation.interrupts import is_interrupted
 from ..foundation.output_files import print_json

@@ -31,7 +31,8 @@ from typing import (
     Tuple,
 )
 
-from ..foundation.errors import UsageError, format_count, install_hint, printable
+from ..foundation.displayed_text import format_count, printable
+from ..foundation.errors import UsageError, install_hint
 from ..foundation.interrupts import interruptible
 from ..playback.decompression import describe_error
 from ..playback.worker_pools import MAX_WORKER_DEATHS, Function, Result, Task, TaskResults, Unfinished

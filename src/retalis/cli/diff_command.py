@@ -11,7 +11,8 @@ from tempfile import TemporaryDirectory
 from typing import Callable, Dict, List, NamedTuple, Optional, Sequence, Tuple
 from xml.etree import ElementTree
 
-from ..foundation.errors import RetalisError, UsageError, format_count, printable
+from ..foundation.displayed_text import format_count, printable
+from ..foundation.errors import RetalisError, UsageError
 from ..foundation.output_files import print_json, write_xml
 from ..messages.type_registry import Definitions
 from ..node.subscribed_topics import HandlerFactory

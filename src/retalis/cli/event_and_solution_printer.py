@@ -6,7 +6,7 @@ from typing import IO, Any, Dict, Iterable, List, Mapping, Optional, cast
 from ..engine.run_records import OpenRecord, OpenStateRecord, OutputRecord
 from ..events.knowledge.knowledge_base import MEMORY_EVENTS
 from ..explanation.explanation_lines import Explanation, ExplanationLine
-from ..foundation.errors import format_count
+from ..foundation.displayed_text import format_count
 from ..foundation.output_files import print_json
 from ..prolog.syntax.term_writer import add_full_stop, canonical_text
 from ..prolog.system.prolog_system import PrologSystem

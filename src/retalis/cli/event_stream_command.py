@@ -25,18 +25,11 @@ from ..events.program.goal_file import goal_of, read_goals
 from ..events.program.topic_configuration import read_text
 from ..events.rules.event_input_predicates import event_of
 from ..explanation.event_explanations import explain, record_origins
-from ..foundation.errors import (
-    Place,
-    ProgramErrors,
-    RetalisError,
-    RuleError,
-    SyntaxFault,
-    UsageError,
-    place_at_column,
-)
+from ..foundation.errors import ProgramErrors, RetalisError, RuleError, SyntaxFault, UsageError
 from ..foundation.garbage_collection import limit_gc_pauses
 from ..foundation.interrupts import check_interrupt, interruptible
 from ..foundation.output_files import open_output
+from ..foundation.source_places import Place, place_at_column
 from ..prolog.machine.machine import Machine
 from ..prolog.syntax.event_text import EventReader
 from ..prolog.syntax.operators import Operators

@@ -8,14 +8,8 @@ from typing import Callable, Iterator, List, NamedTuple, Sequence
 
 from ..editing.formatter import DEFAULT_LINE_LENGTH, format_goals, format_rules
 from ..events.program.topic_configuration import GOALS, RULES
-from ..foundation.errors import (
-    ProgramErrors,
-    RetalisError,
-    UsageError,
-    describe_decode_error,
-    format_count,
-    printable,
-)
+from ..foundation.displayed_text import describe_decode_error, format_count, printable
+from ..foundation.errors import ProgramErrors, RetalisError, UsageError
 from ..foundation.output_files import replace_file
 from .option_values import positive_integer
 from .stderr_and_progress import paint

@@ -12,9 +12,10 @@ from time import monotonic_ns
 from typing import Any, Callable, Dict, Iterator, List, Mapping, Optional, Sequence, Tuple
 
 from ..events.language.rule_labels import rule_title
-from ..foundation.errors import UsageError, line_of
+from ..foundation.errors import UsageError
 from ..foundation.interrupts import interruptible
 from ..foundation.ros_name_checks import ros1_type_name, strip_slashes
+from ..foundation.source_places import line_of
 from ..messages.type_definition import Definition
 from ..messages.type_registry import Definitions
 from ..node.text_exchange import INPUT, OUTPUT, TEXT_TYPE, WATCH, text_serializer

@@ -5,7 +5,8 @@ import sys
 from pathlib import Path
 from typing import Callable, Dict, List, Tuple
 
-from ..foundation.errors import MessageError, UsageError, printable
+from ..foundation.displayed_text import printable
+from ..foundation.errors import MessageError, UsageError
 from ..foundation.output_files import print_json
 from ..foundation.ros_name_checks import ros1_type_name, type_fault
 from ..messages.message_templates import format_positional, format_with_names, format_with_zeros

@@ -6,7 +6,8 @@ from pathlib import Path
 from typing import Callable, Dict, List, Tuple
 
 from ..events.program.topic_configuration import topic_type
-from ..foundation.errors import MessageError, UsageError, format_count, printable, quote_shortened
+from ..foundation.displayed_text import format_count, printable, quote_shortened
+from ..foundation.errors import MessageError, UsageError
 from ..messages.type_definition import Definition
 from ..messages.type_registry import Definitions
 from ..playback.bag_locations import open_bag

@@ -13,7 +13,8 @@ from queue import Queue
 from time import monotonic, sleep
 from typing import IO, Any, Callable, Dict, Iterator, List, Optional, Tuple
 
-from ..foundation.errors import RetalisError, UsageError, printable
+from ..foundation.displayed_text import printable
+from ..foundation.errors import RetalisError, UsageError
 from ..foundation.output_files import print_json
 from ..node.text_exchange import INPUT, OUTPUT, WATCH
 from ..prolog.syntax.operators import Operators

@@ -4,7 +4,8 @@ import argparse
 import sys
 from typing import Sequence, Union
 
-from ..foundation.errors import SyntaxFault, UsageError, printable
+from ..foundation.displayed_text import printable
+from ..foundation.errors import SyntaxFault, UsageError
 from ..foundation.interrupts import interruptible
 from ..prolog.syntax.term_reader import ReadTerm
 from ..prolog.syntax.term_writer import write_term

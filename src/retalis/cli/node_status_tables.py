@@ -8,7 +8,8 @@ import os
 from textwrap import wrap
 from typing import Any, Callable, Dict, List, Mapping, NamedTuple, Optional, Sequence, Tuple
 
-from ..foundation.errors import format_count, line_of
+from ..foundation.displayed_text import format_count
+from ..foundation.source_places import line_of
 
 MAX_COLUMN_WIDTH = 60
 """Limit for the width of a column in characters."""

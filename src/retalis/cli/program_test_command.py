@@ -9,7 +9,8 @@ import time
 from pathlib import Path
 from typing import Callable, Dict, Iterable, Iterator, List, NamedTuple, Optional, Sequence, Set, Tuple
 
-from ..foundation.errors import RetalisError, UsageError, format_count, printable
+from ..foundation.displayed_text import format_count, printable
+from ..foundation.errors import RetalisError, UsageError
 from ..testing.case_definition import Case
 from ..testing.case_file import SUFFIXES, list_case_files, make_json_schema, read_case_file
 from ..testing.case_fuzzer import fuzz_cases

@@ -8,7 +8,7 @@ import argparse
 import sys
 from typing import IO, Any, List, NoReturn, Optional, Sequence
 
-from ..foundation.errors import quote_shortened
+from ..foundation.displayed_text import quote_shortened
 from ..foundation.similar_names import did_you_mean
 
 _HELP_ALL = "--help-all"

@@ -8,7 +8,8 @@ import time
 from contextlib import contextmanager
 from typing import IO, Callable, Iterator, Optional
 
-from ..foundation.errors import RetalisError, printable
+from ..foundation.displayed_text import printable
+from ..foundation.errors import RetalisError
 
 _package_logger = logging.getLogger("retalis")
 _event_logger = logging.getLogger("retalis.events")

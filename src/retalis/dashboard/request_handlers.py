@@ -20,7 +20,8 @@ from tornado.web import Application, HTTPError, RequestHandler
 
 from ..engine.client_requests import ask
 from ..explanation.event_explanations import explain, records_origins
-from ..foundation.errors import RetalisError, printable_json, shorten
+from ..foundation.displayed_text import printable_json, shorten
+from ..foundation.errors import RetalisError
 from ..prolog.machine.resource_limits import Limits
 from .view_model import DashboardSource, LiveUpdates, Snapshots
 

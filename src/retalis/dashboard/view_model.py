@@ -19,7 +19,7 @@ from ..engine.engine_status import Status
 from ..events.dispatch.argument_projection import NOT_READ
 from ..events.dispatch.listeners import Listener, ListenerPhase
 from ..explanation.event_explanations import records_origins
-from ..foundation.errors import printable_json, shorten
+from ..foundation.displayed_text import printable_json, shorten
 from ..messages.type_definition import functor_name
 from ..prolog.machine.resource_limits import resident_bytes
 from ..prolog.syntax.term_reader import read_term

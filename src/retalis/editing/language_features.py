@@ -20,7 +20,9 @@ from ..events.program.topic_configuration import (
     ROOT_ELEMENT,
     TOPICS,
 )
-from ..foundation.errors import MessageError, Place, UsageError, printable
+from ..foundation.displayed_text import printable
+from ..foundation.errors import MessageError, UsageError
+from ..foundation.source_places import Place
 from ..foundation.unsaved_files import unsaved_files
 from ..messages.message_templates import format_with_names
 from ..messages.type_definition import Constant, Definition, type_name

@@ -28,7 +28,8 @@ from ..events.language.stream_parser import regroup_rate_operator
 from ..events.program.topic_configuration import GOALS, TOPICS, read_text
 from ..events.streams.aggregates import AGGREGATES
 from ..events.streams.held_window import HELD_AGGREGATES
-from ..foundation.errors import UsageError, format_count, format_duration, shorten
+from ..foundation.displayed_text import format_count, format_duration, shorten
+from ..foundation.errors import UsageError
 from ..messages.type_definition import type_name
 from ..prolog.syntax.operators import Operators
 from ..prolog.syntax.term_reader import read_term

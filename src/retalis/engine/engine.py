@@ -25,7 +25,8 @@ from ..events.clock.clock import Clock, StreamClock
 from ..events.dispatch.listeners import ListenerPhase
 from ..events.knowledge.knowledge_base import DELETE_MEMORY, MEMORIZE, SUBSCRIBE
 from ..events.program.topic_configuration import Topics, TopicType
-from ..foundation.errors import RetalisError, UsageError, format_count
+from ..foundation.displayed_text import format_count
+from ..foundation.errors import RetalisError, UsageError
 from ..foundation.garbage_collection import add_live_records
 from ..foundation.ros_name_checks import strip_slashes
 from ..messages.transform_messages import TransformMessage

@@ -3,7 +3,8 @@
 from typing import Callable, NamedTuple, Optional, Tuple
 
 from ..events.knowledge.transform_buffer import DEFAULT_CACHE_SECONDS, TransformBuffer
-from ..foundation.errors import UsageError, quote_shortened
+from ..foundation.displayed_text import quote_shortened
+from ..foundation.errors import UsageError
 from ..messages.type_definition import QUOTED_STRINGS, STRING_FORMS
 from ..prolog.machine.resource_limits import Limits, validate_limit
 

@@ -14,7 +14,7 @@ from ..events.knowledge.pending_queries import AwaitedSource
 from ..events.knowledge.transform_predicates import AwaitedTransform, Transforms
 from ..events.rules.rule_base import RuleBase
 from ..events.rules.timer_service import FIRST_INSTANT
-from ..foundation.errors import shorten
+from ..foundation.displayed_text import shorten
 from ..prolog.terms.types import Term, Var, deref
 from .event_input import EventInput
 from .loaded_items import LoadedProgram

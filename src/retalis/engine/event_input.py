@@ -22,7 +22,8 @@ from ..events.matches.watermarks import functor_of
 from ..events.program.topic_configuration import TopicEvent, Topics, TopicType
 from ..events.rules.event_input_predicates import InputReader
 from ..events.rules.rule_base import RuleBase
-from ..foundation.errors import RetalisError, UsageError, shorten
+from ..foundation.displayed_text import shorten
+from ..foundation.errors import RetalisError, UsageError
 from ..foundation.interrupts import PENDING, is_interrupted
 from ..foundation.ros_name_checks import ros1_type_name, strip_slashes, topic_fault, type_fault
 from ..messages.message_slots import SlotNames

@@ -23,13 +23,8 @@ from ..events.clock.clock import Clock, StreamClock
 from ..events.knowledge.memory import MemoryInstance
 from ..events.network.event_rule import EventRule
 from ..events.rules.timer_service import ProgramTimer
-from ..foundation.errors import (
-    Errors,
-    ProgramErrors,
-    RuleError,
-    UsageError,
-    format_count,
-)
+from ..foundation.displayed_text import format_count
+from ..foundation.errors import Errors, ProgramErrors, RuleError, UsageError
 from ..prolog.builtins.tabling import tables_of
 from ..prolog.database.clause_index import Clause
 from ..prolog.database.predicate import Predicate

@@ -30,7 +30,6 @@ from ..events.program.topic_configuration import (
 from ..foundation.errors import (
     MessageError,
     Omission,
-    Place,
     ProgramErrors,
     RetalisError,
     RuleError,
@@ -38,6 +37,7 @@ from ..foundation.errors import (
     UnknownMessage,
 )
 from ..foundation.ros_name_checks import strip_slashes
+from ..foundation.source_places import Place
 from ..messages.type_registry import Definitions
 from ..prolog.system.prolog_system import PrologSystem
 from ..prolog.terms.types import CompoundTerm, Functor, Term

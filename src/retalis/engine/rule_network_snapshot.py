@@ -18,7 +18,7 @@ from ..events.network.node_timers import RULE_ALARMS, RuleAlarm, StoredRuleAlarm
 from ..events.network.pattern_nodes import NetworkNode
 from ..events.program.event_file_parser import reread_rule
 from ..events.rules.rule_base import RuleBase
-from ..foundation.errors import Place
+from ..foundation.source_places import Place
 from ..prolog.system.prolog_snapshot import PLACE
 from ..prolog.terms.types import Atom, Term, Var
 from ..serialization.field_types import (

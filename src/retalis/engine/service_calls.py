@@ -13,7 +13,8 @@ from contextlib import ExitStack
 from typing import Any, Callable, Dict, List, NamedTuple, Optional
 
 from ..events.knowledge.knowledge_base import SERVICE_CALL, SERVICE_FAILED, SERVICE_REPLY
-from ..foundation.errors import MessageError, RetalisError, shorten
+from ..foundation.displayed_text import shorten
+from ..foundation.errors import MessageError, RetalisError
 from ..foundation.ros_name_checks import ros1_type_name, topic_fault, type_fault
 from ..messages.message_slots import SlotNames
 from ..messages.type_definition import Definition, SerializationFormat

@@ -7,7 +7,7 @@ from ..events.language.pattern_tree import occurrences as count_variables
 from ..events.language.rule_labels import rule_title
 from ..events.network.event_rule import EventRule
 from ..events.network.lineage_graph import Occurrence
-from ..foundation.errors import line_of
+from ..foundation.source_places import line_of
 from ..prolog.syntax.operators import Operators
 from ..prolog.syntax.term_writer import named_message_portray, write_term
 from ..prolog.terms import timestamps

@@ -9,7 +9,8 @@ import os
 from pathlib import Path
 from typing import BinaryIO, Iterable, List, NamedTuple, Optional, Tuple
 
-from ..foundation.errors import UsageError, format_count, quote_shortened
+from ..foundation.displayed_text import format_count, quote_shortened
+from ..foundation.errors import UsageError
 
 SUFFIX = ".jsonl"
 

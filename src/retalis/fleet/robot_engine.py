@@ -14,7 +14,8 @@ from ..engine.engine import Engine
 from ..engine.engine_settings import Settings
 from ..events.clock.clock import StreamClock
 from ..events.program.topic_configuration import TOPICS, Topics, read_topics
-from ..foundation.errors import RetalisError, UsageError, quote_shortened
+from ..foundation.displayed_text import quote_shortened
+from ..foundation.errors import RetalisError, UsageError
 from ..messages.message_dictionaries import make_message_term
 from ..messages.type_registry import Definitions
 from ..prolog.syntax.term_reader import read_term

@@ -15,7 +15,8 @@ A bridge writes ``refused`` with a reason into lines that it has refused itself.
 import json
 from typing import Any, Callable, Dict, Mapping, NamedTuple, Optional, Tuple
 
-from ..foundation.errors import UsageError, quote_shortened
+from ..foundation.displayed_text import quote_shortened
+from ..foundation.errors import UsageError
 from ..foundation.similar_names import did_you_mean
 from ..prolog.terms import timestamps
 

@@ -12,7 +12,7 @@ from itertools import count
 from typing import Any, Callable, Dict, Hashable, Iterable, Mapping, NamedTuple, Sequence, Tuple, Union
 
 from .bounded_caches import Cache
-from .errors import quote_shortened
+from .displayed_text import quote_shortened
 
 _BUILTINS: Dict[str, object] = {
     name: getattr(builtins, name)

@@ -7,7 +7,7 @@ names or requests. Each function returns an error text, or None for a valid name
 import re
 from typing import Optional
 
-from .errors import quote_shortened
+from .displayed_text import quote_shortened
 
 MAX_NAME_CHARACTERS = 255
 """Maximum length of a name: the name of a type is also the name of a file."""

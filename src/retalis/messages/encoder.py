@@ -22,7 +22,8 @@ from typing import Any, Callable, Dict, List, Optional
 
 from ..foundation import codegen
 from ..foundation.bounded_caches import Cache
-from ..foundation.errors import MessageError, format_count
+from ..foundation.displayed_text import format_count
+from ..foundation.errors import MessageError
 from ..prolog.terms import timestamps
 from ..prolog.terms.array_terms import BLOB, MAX_EAGER_ELEMENTS, element_count, lazy_array
 from ..prolog.terms.byte_texts import plain_text_bytes, text_bytes

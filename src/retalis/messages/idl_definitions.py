@@ -34,8 +34,10 @@ from typing import (
     Union,
 )
 
-from ..foundation.errors import MessageError, Place, install_hint, place_at_offset, quote_shortened, shorten
+from ..foundation.displayed_text import quote_shortened, shorten
+from ..foundation.errors import MessageError, install_hint
 from ..foundation.ros_name_checks import ros1_type_name
+from ..foundation.source_places import Place, place_at_offset
 
 _GRAMMAR = r"""
 start: definition*

@@ -14,8 +14,10 @@ from difflib import get_close_matches
 from typing import Any, Dict, Iterable, Iterator, List, Optional, Set, Tuple
 
 from ..foundation.bounded_caches import Cache
-from ..foundation.errors import MessageError, Place, UsageError, format_count
+from ..foundation.displayed_text import format_count
+from ..foundation.errors import MessageError, UsageError
 from ..foundation.similar_names import did_you_mean
+from ..foundation.source_places import Place
 from ..prolog.syntax.slot_defaults import MessageNotation, MessageSlot, MessageSuggestions
 from ..prolog.terms.byte_texts import plain_text_atom, text_atom
 from ..prolog.terms.term_traversal import copy

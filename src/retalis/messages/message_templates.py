@@ -6,7 +6,7 @@
 
 from typing import Dict, Iterator, List, NamedTuple, Optional, Set
 
-from ..foundation.errors import format_count
+from ..foundation.displayed_text import format_count
 from ..prolog.syntax.event_text import to_text
 from ..prolog.syntax.term_writer import write_term
 from ..prolog.terms.term_traversal import copy

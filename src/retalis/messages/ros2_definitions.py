@@ -18,8 +18,10 @@ import re
 from collections import deque
 from typing import Callable, Deque, Dict, Iterator, List, NamedTuple, Optional, Set, Tuple
 
-from ..foundation.errors import MessageError, place_at_offset, quote_shortened, shorten
+from ..foundation.displayed_text import quote_shortened, shorten
+from ..foundation.errors import MessageError
 from ..foundation.ros_name_checks import name_fault, ros1_type_name
+from ..foundation.source_places import place_at_offset
 from .idl_definitions import convert_idl
 from .type_definition import (
     EXPECTED_CONSTANT_TYPE,

@@ -41,17 +41,10 @@ from typing import (
     Union,
 )
 
-from ..foundation.errors import (
-    MAX_SHOWN_CHARACTERS,
-    MessageError,
-    Place,
-    format_count,
-    place_at_column,
-    place_at_offset,
-    quote_shortened,
-    shorten,
-)
+from ..foundation.displayed_text import MAX_SHOWN_CHARACTERS, format_count, quote_shortened, shorten
+from ..foundation.errors import MessageError
 from ..foundation.ros_name_checks import name_fault, ros1_type_name, type_fault
+from ..foundation.source_places import Place, place_at_column, place_at_offset
 
 log = logging.getLogger("retalis")
 

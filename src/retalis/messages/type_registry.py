@@ -30,7 +30,8 @@ from typing import (
 )
 
 from ..foundation.bounded_caches import Cache
-from ..foundation.errors import MessageError, shorten
+from ..foundation.displayed_text import shorten
+from ..foundation.errors import MessageError
 from ..foundation.ros_name_checks import ros1_type_name, type_fault
 from ..foundation.similar_names import closest_name
 from .action_events import actionlib_name, find_action_event

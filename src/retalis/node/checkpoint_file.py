@@ -17,7 +17,8 @@ from ..engine.engine import Engine
 from ..engine.engine_settings import Settings
 from ..engine.runtime.problem_reports import Reports
 from ..events.clock.clock import Clock
-from ..foundation.errors import RetalisError, format_count
+from ..foundation.displayed_text import format_count
+from ..foundation.errors import RetalisError
 from ..messages.type_registry import Definitions
 
 log = logging.getLogger("retalis")

@@ -15,7 +15,9 @@ from typing import Any, Callable, Collection, Dict, List, NamedTuple, Optional, 
 from ..engine.engine_status import RuleStatus, Status
 from ..engine.runtime.problem_reports import Reports
 from ..events.language.rule_labels import rule_title
-from ..foundation.errors import MessageError, RetalisError, format_count, line_of, printable, shorten
+from ..foundation.displayed_text import format_count, printable, shorten
+from ..foundation.errors import MessageError, RetalisError
+from ..foundation.source_places import line_of
 from ..messages.encoder import Encoder
 from ..messages.message_dictionaries import make_message_term
 from ..messages.type_registry import Definitions

@@ -8,7 +8,8 @@ from ..dashboard.page_server import DASHBOARD_PORT
 from ..engine.engine_settings import Settings
 from ..events.knowledge.transform_buffer import DEFAULT_CACHE_SECONDS
 from ..events.program.topic_configuration import AUTO, DirectTopics, read_direct, uses_texts
-from ..foundation.errors import UsageError, printable, shorten
+from ..foundation.displayed_text import printable, shorten
+from ..foundation.errors import UsageError
 from ..foundation.ros_name_checks import topic_fault
 from ..foundation.similar_names import closest_name
 from ..messages.type_definition import MAX_EMPTY_ELEMENTS

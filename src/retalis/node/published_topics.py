@@ -14,7 +14,8 @@ from ..events.program.topic_configuration import (
     quality_of,
 )
 from ..foundation.bounded_caches import Cache
-from ..foundation.errors import MessageError, RetalisError, UsageError, printable, shorten
+from ..foundation.displayed_text import printable, shorten
+from ..foundation.errors import MessageError, RetalisError, UsageError
 from ..messages.encoder import Encoder
 from ..messages.type_definition import PLAIN_STRINGS
 from ..messages.type_registry import Definitions

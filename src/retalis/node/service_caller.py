@@ -9,7 +9,8 @@ from fnmatch import fnmatchcase
 from typing import Callable, Dict, List, NamedTuple, Optional, Sequence
 
 from ..engine.service_calls import MAX_CALLS_UNDER_WAY, ServiceCall
-from ..foundation.errors import UsageError, shorten
+from ..foundation.displayed_text import shorten
+from ..foundation.errors import UsageError
 from .transport import Transport
 
 MAX_CALL_THREADS = 2 * MAX_CALLS_UNDER_WAY

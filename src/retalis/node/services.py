@@ -24,7 +24,8 @@ from ..engine.runtime.problem_reports import Reports
 from ..events.language.stream_parser import subscription_event
 from ..events.program.topic_configuration import TOPICS, Topics, read_topics, topic_type
 from ..explanation.event_explanations import explain, records_origins
-from ..foundation.errors import ProgramErrors, RetalisError, SyntaxFault, UsageError, printable, shorten
+from ..foundation.displayed_text import printable, shorten
+from ..foundation.errors import ProgramErrors, RetalisError, SyntaxFault, UsageError
 from ..foundation.ros_name_checks import topic_fault
 from ..messages.type_registry import Definitions
 from ..prolog.machine.resource_limits import Limits, validate_limit

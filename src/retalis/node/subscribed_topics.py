@@ -47,7 +47,8 @@ from ..events.program.topic_configuration import (
     TopicType,
     topic_type,
 )
-from ..foundation.errors import MessageError, RetalisError, UsageError, printable, shorten
+from ..foundation.displayed_text import printable, shorten
+from ..foundation.errors import MessageError, RetalisError, UsageError
 from ..messages.action_events import FEEDBACK, STATUS, ActionEvent, ActionMessages, find_action_event
 from ..messages.decoder import Decoder, has_header
 from ..messages.transform_messages import (

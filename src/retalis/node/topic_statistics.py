@@ -6,7 +6,8 @@ import time
 from struct import Struct
 from typing import Callable, Collection, Iterable, Iterator, List, Mapping, NamedTuple, Optional
 
-from ..foundation.errors import MessageError, format_count, printable
+from ..foundation.displayed_text import format_count, printable
+from ..foundation.errors import MessageError
 from ..foundation.similar_names import did_you_mean
 from .transport import TopicPublication, Transport
 

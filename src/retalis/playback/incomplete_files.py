@@ -2,7 +2,7 @@
 
 from typing import NamedTuple, Optional
 
-from ..foundation.errors import format_count
+from ..foundation.displayed_text import format_count
 from ..prolog.terms.timestamps import SECOND
 
 INCOMPLETE_STATUS = 3

@@ -26,7 +26,7 @@ from struct import Struct
 from struct import error as StructError
 from typing import Callable, Collection, Dict, FrozenSet, Iterator, List, NamedTuple, Optional, Set, Tuple
 
-from ..foundation.errors import format_count
+from ..foundation.displayed_text import format_count
 from ..foundation.interrupts import check_interrupt
 from .decompression import (
     ChunkLimit,

@@ -63,14 +63,8 @@ from ..events.program.topic_configuration import (
     direct_topics,
     read_topics,
 )
-from ..foundation.errors import (
-    MessageError,
-    ProgramErrors,
-    RetalisError,
-    UsageError,
-    format_count,
-    quote_shortened,
-)
+from ..foundation.displayed_text import format_count, quote_shortened
+from ..foundation.errors import MessageError, ProgramErrors, RetalisError, UsageError
 from ..foundation.interrupts import check_interrupt, interruptible
 from ..foundation.ros_name_checks import ros1_type_name, topic_fault, type_fault
 from ..messages.action_events import ACTION_EVENTS, find_action_event

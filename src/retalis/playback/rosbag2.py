@@ -35,7 +35,8 @@ from typing import (
     Union,
 )
 
-from ..foundation.errors import MessageError, format_count, quote_shortened, shorten
+from ..foundation.displayed_text import format_count, quote_shortened, shorten
+from ..foundation.errors import MessageError
 from ..foundation.ros_name_checks import ros1_type_name, strip_slashes, topic_fault
 from ..messages.ros2_definitions import BUILTIN_DEFINITIONS
 from ..messages.type_definition import Definition, SerializationFormat

@@ -11,7 +11,8 @@ from typing import Any, Optional
 
 from roslib.message import get_message_class, get_service_class
 
-from ..foundation.errors import MessageError, quote_shortened
+from ..foundation.displayed_text import quote_shortened
+from ..foundation.errors import MessageError
 from ..messages.type_registry import GeneratedClass, InstalledTypes
 
 

@@ -30,7 +30,8 @@ from ..events.program.topic_configuration import (
     topic_type,
     uses_texts,
 )
-from ..foundation.errors import MessageError, RetalisError, UsageError, printable, shorten
+from ..foundation.displayed_text import printable, shorten
+from ..foundation.errors import MessageError, RetalisError, UsageError
 from ..messages.type_registry import Definitions
 from ..node.subscribed_topics import SubscribedTopics
 from ..node.text_exchange import resolve_subscribable_topic

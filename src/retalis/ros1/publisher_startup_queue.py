@@ -18,7 +18,7 @@ import rospy
 from rospy.rostime import wallsleep
 
 from ..engine.runtime.problem_reports import Reports
-from ..foundation.errors import format_count
+from ..foundation.displayed_text import format_count
 from .connection_writer import TopicWriter
 from .topic_names import MASTER_ERRORS
 

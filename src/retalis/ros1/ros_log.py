@@ -11,7 +11,7 @@ import sys
 import rospy
 
 from ..engine.runtime.problem_reports import COUNTED_ATTRIBUTE
-from ..foundation.errors import printable
+from ..foundation.displayed_text import printable
 from ..node.goal_output import log_counts
 from ..prolog.builtins.listing_and_messages import goal_log
 

@@ -14,7 +14,7 @@ from rospy.impl.tcpros_base import TCPROSTransport
 from rospy.impl.tcpros_service import TCPROSServiceClient
 
 from ..engine.service_calls import ServiceCall
-from ..foundation.errors import shorten
+from ..foundation.displayed_text import shorten
 from ..messages.type_definition import service_checksum
 from .connection_writer import serialized_class
 from .topic_names import MASTER_ERRORS

@@ -16,7 +16,8 @@ from ..engine.runtime.problem_reports import Reports
 from ..engine.service_calls import ServiceCall
 from ..events.program.topic_configuration import ANY_QUALITY, QualityOfService
 from ..foundation.bounded_caches import Cache
-from ..foundation.errors import RetalisError, UsageError, shorten
+from ..foundation.displayed_text import shorten
+from ..foundation.errors import RetalisError, UsageError
 from ..messages.type_definition import Definition, SerializationFormat
 from ..messages.type_registry import InstalledTypes
 from ..node.service_caller import CallThreads

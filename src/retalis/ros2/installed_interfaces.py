@@ -10,7 +10,8 @@ from importlib import import_module
 from operator import attrgetter
 from typing import Any, List, Optional
 
-from ..foundation.errors import MessageError, quote_shortened, shorten
+from ..foundation.displayed_text import quote_shortened, shorten
+from ..foundation.errors import MessageError
 from ..foundation.ros_name_checks import ros1_type_name
 from ..messages.ros2_definitions import find_interfaces
 from ..messages.type_registry import InstalledType, InstalledTypes, parse_ros2_type

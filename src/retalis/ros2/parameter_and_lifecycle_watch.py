@@ -19,7 +19,7 @@ from rclpy.parameter import Parameter
 from rclpy.qos import qos_profile_parameter_events
 from rclpy.task import Future
 
-from ..foundation.errors import shorten
+from ..foundation.displayed_text import shorten
 from ..node.transport import GraphChange
 
 PARAMETER_TOPIC = "/parameter_events"

@@ -4,7 +4,7 @@ import logging
 
 from rclpy.node import Node
 
-from ..foundation.errors import printable
+from ..foundation.displayed_text import printable
 from ..node.goal_output import log_counts
 from ..prolog.builtins.listing_and_messages import goal_log
 

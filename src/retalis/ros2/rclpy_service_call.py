@@ -12,7 +12,8 @@ from rclpy.serialization import deserialize_message, serialize_message
 from rclpy.task import Future
 
 from ..engine.service_calls import MAX_CALLS_UNDER_WAY, ServiceCall
-from ..foundation.errors import MessageError, shorten
+from ..foundation.displayed_text import shorten
+from ..foundation.errors import MessageError
 from ..foundation.ros_name_checks import ros1_type_name
 from .installed_interfaces import InstalledInterfaces
 

@@ -18,7 +18,8 @@ from ..engine.service_calls import ServiceCall
 from ..events.knowledge.transform_buffer import TransformBuffer
 from ..events.program.topic_configuration import ANY_QUALITY, SERVICE_EVENTS, QualityOfService
 from ..foundation.bounded_caches import Cache
-from ..foundation.errors import MessageError, RetalisError, UsageError, shorten
+from ..foundation.displayed_text import shorten
+from ..foundation.errors import MessageError, RetalisError, UsageError
 from ..foundation.ros_name_checks import ros1_type_name, topic_fault
 from ..messages.type_definition import VARIABLE_LENGTH, Definition, Field, SerializationFormat
 from ..messages.type_registry import Definitions, InstalledTypes

@@ -7,7 +7,7 @@ from enum import Enum
 from pathlib import Path
 from typing import Any, Mapping, NamedTuple, Optional, Tuple
 
-from ..foundation.errors import Place
+from ..foundation.source_places import Place
 from ..prolog.terms.timestamps import SECOND
 from .yaml_documents import YamlValue
 

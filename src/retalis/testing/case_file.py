@@ -8,7 +8,8 @@ from pathlib import Path
 from typing import Any, Dict, Iterable, Iterator, List, Mapping, NamedTuple, Optional, Set, Tuple
 
 from ..events.program.topic_configuration import GOALS, TOPICS
-from ..foundation.errors import UsageError, quote_shortened
+from ..foundation.displayed_text import quote_shortened
+from ..foundation.errors import UsageError
 from ..foundation.ros_name_checks import topic_fault
 from ..foundation.similar_names import did_you_mean
 from ..node.parameters import PARAMETER_DESCRIPTIONS

@@ -20,7 +20,7 @@ from typing import (
     Tuple,
 )
 
-from ..foundation.errors import format_count, printable, shorten
+from ..foundation.displayed_text import format_count, printable, shorten
 from ..messages.type_registry import Definitions
 from ..prolog.terms.timestamps import SECOND
 from .case_definition import Case, InputId, Mutation, MutationType

@@ -5,7 +5,8 @@ from heapq import merge
 from operator import attrgetter
 from typing import Collection, Dict, Iterator, List, Mapping, NamedTuple, Optional, Sequence, Tuple
 
-from ..foundation.errors import MessageError, UsageError, quote_shortened
+from ..foundation.displayed_text import quote_shortened
+from ..foundation.errors import MessageError, UsageError
 from ..foundation.ros_name_checks import ros1_type_name, strip_slashes, type_fault
 from ..messages.type_definition import Definition
 from ..messages.type_registry import Definitions

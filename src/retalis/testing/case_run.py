@@ -21,7 +21,8 @@ from ..events.knowledge.knowledge_base import MEMORY_EVENTS
 from ..events.program.topic_configuration import GOALS, RULES, TOPICS, TopicType, read_topics, topic_type
 from ..explanation.event_explanations import event_request, explain_briefly, record_origins
 from ..explanation.output_explanations import ExplainedOutput, explain_output_briefly
-from ..foundation.errors import RetalisError, UsageError, printable
+from ..foundation.displayed_text import printable
+from ..foundation.errors import RetalisError, UsageError
 from ..foundation.ros_name_checks import strip_slashes
 from ..foundation.similar_names import did_you_mean
 from ..messages.type_registry import Definitions

@@ -8,7 +8,8 @@ from bisect import bisect_left, bisect_right
 from copy import copy
 from typing import Callable, Dict, Iterable, List, Mapping, NamedTuple, Optional, Sequence, Set, Tuple
 
-from ..foundation.errors import Place, printable, shorten
+from ..foundation.displayed_text import printable, shorten
+from ..foundation.source_places import Place
 from ..messages.message_dictionaries import read_message_term
 from ..messages.type_definition import Definition
 from ..prolog.syntax.operators import Operators

@@ -7,8 +7,9 @@ import json
 from pathlib import Path
 from typing import Any, Iterable, Iterator, Sequence
 
-from ..foundation.errors import Place, UsageError, place_at_column
+from ..foundation.errors import UsageError
 from ..foundation.output_files import write_text
+from ..foundation.source_places import Place, place_at_column
 from ..prolog.syntax.term_writer import canonical_text
 from ..prolog.terms import timestamps
 from .case_definition import DEFAULT_WITHIN, ExpectedItem, TermText, Tolerance

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Dict, Iterable, Iterator, List, NamedTuple, Sequence, Tuple
 
 from ..editing.clause_reader import ClauseReader, ParsedClause
-from ..foundation.errors import printable
+from ..foundation.displayed_text import printable
 from ..foundation.output_files import write_text
 from .rule_coverage import CLAUSE, PART_TYPES, RULE, CoveredPart, covered_percentage
 

@@ -4,7 +4,8 @@ from pathlib import Path
 from typing import Dict, List, Sequence, Tuple
 from xml.etree import ElementTree
 
-from ..foundation.errors import RetalisError, printable
+from ..foundation.displayed_text import printable
+from ..foundation.errors import RetalisError
 from ..foundation.output_files import write_xml
 from .case_definition import Case
 from .case_run import CaseResult

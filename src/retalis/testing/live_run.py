@@ -21,7 +21,8 @@ from typing import (
 )
 
 from ..engine.engine import EVENT_FLAGS
-from ..foundation.errors import MessageError, RetalisError, SyntaxFault, format_count, printable
+from ..foundation.displayed_text import format_count, printable
+from ..foundation.errors import MessageError, RetalisError, SyntaxFault
 from ..messages.type_definition import Definition, SerializationFormat, type_name
 from ..messages.type_registry import Definitions
 from ..node.text_exchange import OUTPUT_EVENT, WATCH

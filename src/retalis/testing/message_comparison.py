@@ -2,8 +2,8 @@
 
 from typing import Any, Iterator, List, Mapping, Optional
 
-from ..foundation.errors import Place
 from ..foundation.similar_names import did_you_mean
+from ..foundation.source_places import Place
 from ..messages.type_definition import TIMES, Definition, Field
 from ..prolog.terms import timestamps
 from .case_definition import Tolerance

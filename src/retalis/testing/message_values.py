@@ -7,7 +7,8 @@ gets the time of the message.
 
 from typing import Any, Optional
 
-from ..foundation.errors import MessageError, format_count, quote_shortened
+from ..foundation.displayed_text import format_count, quote_shortened
+from ..foundation.errors import MessageError
 from ..foundation.similar_names import did_you_mean
 from ..messages.message_dictionaries import make_message_term
 from ..messages.type_definition import (

@@ -16,8 +16,9 @@ from ..events.language.pattern_tree import EventPattern, Pattern, walk
 from ..events.language.rule_labels import rule_title
 from ..events.network.event_rule import EventRule
 from ..explanation.why_not_published import can_unify
-from ..foundation.errors import line_of, printable, shorten
+from ..foundation.displayed_text import printable, shorten
 from ..foundation.output_files import write_xml
+from ..foundation.source_places import line_of
 from ..prolog.syntax.term_writer import canonical_text
 from ..prolog.terms.term_traversal import variables
 from ..prolog.terms.types import Term, functor

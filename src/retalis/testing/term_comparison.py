@@ -7,7 +7,8 @@ after the start of the case.
 
 from typing import Dict, List, NamedTuple, Tuple
 
-from ..foundation.errors import SyntaxFault, quote_shortened
+from ..foundation.displayed_text import quote_shortened
+from ..foundation.errors import SyntaxFault
 from ..prolog.syntax.operators import Operators
 from ..prolog.syntax.term_reader import ReadTerm, read_term
 from ..prolog.syntax.tokenizer import ReadFlags

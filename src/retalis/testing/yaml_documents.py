@@ -7,16 +7,10 @@ it on request, so that each error names the place of the value that is wrong. A 
 
 from typing import Any, Dict, List, Mapping, NamedTuple, Optional, Union
 
-from ..foundation.errors import (
-    Place,
-    RetalisError,
-    UsageError,
-    format_count,
-    install_hint,
-    place_in_line,
-    quote_shortened,
-)
+from ..foundation.displayed_text import format_count, quote_shortened
+from ..foundation.errors import RetalisError, UsageError, install_hint
 from ..foundation.similar_names import did_you_mean
+from ..foundation.source_places import Place, place_in_line
 
 MAX_VALUES = 1_000_000
 """Maximum number of values of a document. Aliases count each time: a short text cannot stand for a huge one."""

@@ -36,8 +36,10 @@ from ..events.language.rule_heads import ALARMS, SYNCHRONIZED
 from ..events.language.rule_labels import rule_title
 from ..events.language.state_parser import queried_state
 from ..events.language.timer_schedules import sets_timer
-from ..foundation.errors import MAX_SHOWN_CHARACTERS, UsageError, format_count, line_of, printable, shorten
+from ..foundation.displayed_text import MAX_SHOWN_CHARACTERS, format_count, printable, shorten
+from ..foundation.errors import UsageError
 from ..foundation.output_files import replace_file
+from ..foundation.source_places import line_of
 from ..prolog.database.predicate import Predicate
 from ..prolog.terms.list_terms import list_items, list_parts
 from ..prolog.terms.term_traversal import variables

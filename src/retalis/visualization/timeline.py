@@ -23,7 +23,8 @@ from ..engine.run_records import (
     OutputRecord,
     WaitRecord,
 )
-from ..foundation.errors import UsageError, install_hint, printable, printable_json, shorten
+from ..foundation.displayed_text import printable, printable_json, shorten
+from ..foundation.errors import UsageError, install_hint
 from ..foundation.output_files import replace_file
 from ..prolog.terms import timestamps
 from ..prolog.terms.timestamps import SECOND

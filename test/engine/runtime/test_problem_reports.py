@@ -8,7 +8,8 @@ import pytest
 from reachable_objects import reachable
 
 from retalis import Engine, Place, Reports, RetalisError, RuleError
-from retalis.foundation.errors import RecurringWarning, place_at_offset
+from retalis.foundation.errors import RecurringWarning
+from retalis.foundation.source_places import place_at_offset
 
 
 @pytest.fixture

@@ -6,7 +6,7 @@ from events.load_problems import assert_refused, warnings_of
 from retalis import Engine
 from retalis.events.language.rule_labels import MAX_NAME_CHARACTERS, WORD_PROPERTIES, rule_title
 from retalis.events.matches.network_options import AfterMatchSkipStrategy, ConsumptionPolicy
-from retalis.foundation.errors import line_of
+from retalis.foundation.source_places import line_of
 
 LABEL_ADVICE = "a label is an atom, or Label([property(Name, Value), ...])"
 

@@ -39,7 +39,7 @@ from typing import (
 )
 
 from ...events.clock.clock import JUMP
-from ...foundation.errors import format_count
+from ...foundation.displayed_text import format_count
 from .problem_reports import Reports
 
 CLOCK_WAIT_SECONDS = 1.0

@@ -18,7 +18,7 @@ from typing import Callable, Dict, Iterator, List, Optional, Set
 
 from ...events.clock.clock import JUMP
 from ...foundation.bounded_caches import Cache
-from ...foundation.errors import printable, shorten
+from ...foundation.displayed_text import printable, shorten
 from ...messages.decoder import Decoder
 from ...messages.header_stamps import FrameStamp, format_frame_key, make_observed_decoder
 from ...prolog.terms.timestamps import SECOND

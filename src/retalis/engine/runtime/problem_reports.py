@@ -4,14 +4,8 @@ import logging
 import traceback
 from typing import Callable, Dict, Optional, Set
 
-from ...foundation.errors import (
-    MAX_MESSAGE_CHARACTERS,
-    MAX_SHOWN_CHARACTERS,
-    RecurringWarning,
-    RetalisError,
-    printable,
-    shorten,
-)
+from ...foundation.displayed_text import MAX_SHOWN_CHARACTERS, printable, shorten
+from ...foundation.errors import MAX_MESSAGE_CHARACTERS, RecurringWarning, RetalisError
 
 log = logging.getLogger("retalis")
 

@@ -13,7 +13,9 @@ from weakref import WeakSet, ref
 
 from ...events.dispatch.dispatcher import Dispatcher
 from ...events.dispatch.listeners import TERM
-from ...foundation.errors import Place, RuleError, shorten
+from ...foundation.displayed_text import shorten
+from ...foundation.errors import RuleError
+from ...foundation.source_places import Place
 from ...prolog.database.compiled_goal import CompiledGoal
 from ...prolog.machine.resource_limits import Budget
 from ...prolog.system.prolog_system import PrologSystem

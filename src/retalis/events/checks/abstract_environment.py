@@ -2,7 +2,7 @@
 
 from typing import Any, Dict, List, NamedTuple, Optional
 
-from ...foundation.errors import Place
+from ...foundation.source_places import Place
 from ...prolog.terms.types import CompoundTerm, Term, Var, deref
 from .value_conflict_reports import ConflictReporter, ProgramPart, place_in
 from .value_kinds import (

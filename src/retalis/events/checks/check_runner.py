@@ -8,16 +8,9 @@ file. Errors cannot be suppressed.
 import os
 import re
 from pathlib import Path
-from typing import Callable, Dict, Iterator, NamedTuple, Optional, Set, Tuple, Type
+from typing import TYPE_CHECKING, Callable, Dict, Iterator, NamedTuple, Optional, Set, Tuple, Type
 
-from ...foundation.errors import (
-    Omission,
-    Place,
-    RetalisError,
-    RuleError,
-    SyntaxFault,
-    UsageError,
-)
+from ...foundation.errors import Omission, RetalisError, RuleError, SyntaxFault, UsageError
 from ..program.topic_configuration import read_text
 from .condition_checks import find_impossible_conditions
 from .event_cycle_checks import find_cycles
@@ -61,6 +54,9 @@ from .unbounded_state_checks import find_unbounded_keys, find_unbounded_waits
 from .value_flow import find_conflicting_flows, find_impossible_flows
 from .variable_name_checks import find_constants_meant_as_variables, find_singletons
 from .variable_type_checks import find_type_conflicts
+
+if TYPE_CHECKING:
+    from ...foundation.source_places import Place
 
 ERROR, WARNING, INFO = "error", "warning", "info"
 

@@ -8,7 +8,8 @@ counts as produced.
 
 from typing import Any, Dict, FrozenSet, Iterator, List, Optional, Sequence, Set
 
-from ...foundation.errors import Place, RuleError
+from ...foundation.errors import RuleError
+from ...foundation.source_places import Place
 from ...messages.type_definition import functor_name
 from ...prolog.terms.types import SLASH, TRUE, Atom, Functor, Term, deref, functor
 from ..knowledge.knowledge_base import OWN_EVENTS

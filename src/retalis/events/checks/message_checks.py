@@ -8,17 +8,11 @@ from pathlib import Path
 from typing import Any, Dict, Iterator, List, NamedTuple, Optional, Set, Tuple
 from xml.parsers import expat
 
-from ...foundation.errors import (
-    Place,
-    RuleError,
-    UsageError,
-    format_count,
-    place_at_column,
-    printable,
-    shorten,
-)
+from ...foundation.displayed_text import format_count, printable, shorten
+from ...foundation.errors import RuleError, UsageError
 from ...foundation.ros_name_checks import ros1_type_name, strip_slashes
 from ...foundation.similar_names import closest_name, did_you_mean
+from ...foundation.source_places import Place, place_at_column
 from ...messages.action_events import STATUS, STATUSES, find_action_event
 from ...messages.encoder import find_fault
 from ...messages.type_definition import Definition, Field, type_name

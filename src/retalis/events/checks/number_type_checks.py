@@ -9,7 +9,8 @@ import struct
 from decimal import Decimal
 from typing import Any, Dict, Iterator, List, Mapping, NamedTuple, Optional, Set, Tuple
 
-from ...foundation.errors import Place, RuleError
+from ...foundation.errors import RuleError
+from ...foundation.source_places import Place
 from ...messages.type_definition import FLOATS, PRIMITIVES, Definition, Field
 from ...prolog.terms.types import Functor, Term, Var, deref, functor
 from ..language.pattern_tree import EventPattern, walk

@@ -29,8 +29,9 @@ from typing import (
     Union,
 )
 
-from ...foundation.errors import MessageError, Place, SyntaxFault, UsageError
+from ...foundation.errors import MessageError, SyntaxFault, UsageError
 from ...foundation.similar_names import MAX_CANDIDATES, closest_name
+from ...foundation.source_places import Place
 from ...messages.type_definition import Definition, type_name
 from ...messages.type_registry import Definitions
 from ...prolog.syntax.term_reader import OF_FILES, ReadTerm, read_program

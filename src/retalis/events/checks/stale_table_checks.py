@@ -10,7 +10,8 @@ of the program.
 from collections import deque
 from typing import Any, Dict, FrozenSet, Iterable, Iterator, List, NamedTuple, Optional, Set, Tuple
 
-from ...foundation.errors import Place, RuleError
+from ...foundation.errors import RuleError
+from ...foundation.source_places import Place
 from ...prolog.terms.list_terms import conjuncts
 from ...prolog.terms.types import COMMA, CONS, SLASH, Atom, Functor, Term, deref, functor
 from ..knowledge.transform_predicates import TRANSFORM_PREDICATES

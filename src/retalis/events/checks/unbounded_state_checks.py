@@ -2,7 +2,8 @@
 
 from typing import Any, Iterator, List, Optional, Tuple
 
-from ...foundation.errors import Place, RuleError
+from ...foundation.errors import RuleError
+from ...foundation.source_places import Place
 from ...prolog.terms.term_traversal import term_key, variables
 from ...prolog.terms.types import atom
 from ..language.pattern_tree import (

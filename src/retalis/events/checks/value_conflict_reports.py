@@ -2,7 +2,8 @@
 
 from typing import Any, List, Mapping, NamedTuple, Optional
 
-from ...foundation.errors import Place, RuleError
+from ...foundation.errors import RuleError
+from ...foundation.source_places import Place
 from ...prolog.terms.types import CompoundTerm, Term, Var
 from ..language.pattern_parser import PlaceLookup
 from .program_model import ProgramModel

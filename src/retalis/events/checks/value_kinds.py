@@ -8,7 +8,7 @@ value, its bottom. The lattice is finite, so a fixpoint is reached after a bound
 import os
 from typing import Callable, Dict, NamedTuple, Optional
 
-from ...foundation.errors import Place
+from ...foundation.source_places import Place
 from ...messages.type_definition import Field
 from ...prolog.machine.arithmetic import EVALUABLE
 from ...prolog.syntax.literals import atom_text

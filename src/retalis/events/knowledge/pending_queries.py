@@ -35,7 +35,8 @@ from typing import (
 )
 
 from ...foundation.codegen import shared_function
-from ...foundation.errors import Place, UsageError
+from ...foundation.errors import UsageError
+from ...foundation.source_places import Place
 from ...prolog.database.compiled_goal import CompiledGoal
 from ...prolog.machine.errors import PrologError
 from ...prolog.machine.resource_limits import record_caught_error

@@ -6,7 +6,8 @@ Predicates that any goal of the program could define by ``assert`` and the like 
 
 from typing import Any, Callable, Dict, Iterator, List, NamedTuple, Optional, Set, Tuple
 
-from ...foundation.errors import Place, UndefinedPredicate
+from ...foundation.errors import UndefinedPredicate
+from ...foundation.source_places import Place
 from ...prolog.system.prolog_system import PrologSystem
 from ...prolog.terms.list_terms import list_items
 from ...prolog.terms.types import COMMA, CONS, SLASH, Atom, CompoundTerm, Functor, Term, Var, deref, functor

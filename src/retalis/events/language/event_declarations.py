@@ -26,9 +26,11 @@ from typing import (
     Tuple,
 )
 
-from ...foundation.errors import Place, RuleError, UsageError, format_count
+from ...foundation.displayed_text import format_count
+from ...foundation.errors import RuleError, UsageError
 from ...foundation.ros_name_checks import name_fault
 from ...foundation.similar_names import closest_name, did_you_mean
+from ...foundation.source_places import Place
 from ...messages.type_definition import Field, type_name
 from ...prolog.database.clause_index import Clause
 from ...prolog.machine.errors import domain_error

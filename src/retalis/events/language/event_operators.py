@@ -13,7 +13,7 @@ partners are searched.
 from enum import Enum
 from typing import Dict, NamedTuple, Optional, Tuple
 
-from ...foundation.errors import format_count
+from ...foundation.displayed_text import format_count
 from ...prolog.syntax.operators import EVENT_SYNTAX
 from ...prolog.terms.types import Functor, functor
 

@@ -11,7 +11,7 @@ and constructs the rule that covers all gaps.
 from difflib import SequenceMatcher
 from typing import Any, Callable, Dict, List, Mapping, Optional
 
-from ...foundation.errors import shorten
+from ...foundation.displayed_text import shorten
 from ...prolog.syntax.term_writer import write_term
 from ...prolog.terms.list_terms import list_items
 from ...prolog.terms.term_traversal import variables

@@ -11,7 +11,8 @@ read, because they need all occurrences of its variables.
 
 from typing import Any, Callable, Dict, FrozenSet, List, Mapping, NamedTuple, Optional, Tuple, Union
 
-from ...foundation.errors import Place, RuleError
+from ...foundation.errors import RuleError
+from ...foundation.source_places import Place
 from ...prolog.machine.arithmetic import EVALUABLE
 from ...prolog.terms.list_terms import list_items
 from ...prolog.terms.term_traversal import variables

@@ -9,7 +9,7 @@ from enum import Enum
 from types import MappingProxyType
 from typing import Any, Dict, FrozenSet, Hashable, List, Mapping, NamedTuple, Optional, Set, Tuple, Union
 
-from ...foundation.errors import Place
+from ...foundation.source_places import Place
 from ...prolog.terms.term_traversal import rebuild, variables, variant_key
 from ...prolog.terms.types import Functor, Term, Var, functor
 from ..streams.row_pattern_automaton import RowPatternSkip, StepGroup

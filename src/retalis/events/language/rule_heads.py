@@ -7,7 +7,8 @@ a query has a solution, ``do`` calls a goal in addition. `check_head` rejects he
 
 from typing import Any, Callable, Optional, Tuple
 
-from ...foundation.errors import Place, RuleError, UsageError
+from ...foundation.errors import RuleError, UsageError
+from ...foundation.source_places import Place
 from ...prolog.terms.list_terms import list_items, list_parts, make_list
 from ...prolog.terms.timestamps import DATIME6, DATIME7, from_any, from_seconds
 from ...prolog.terms.types import COLON, CONS, NIL, Atom, CompoundTerm, Term, Var, deref, functor

@@ -7,7 +7,8 @@ label has its event as name: `rule_name`. Users meet rules as `rule_title`: by n
 from math import isfinite
 from typing import Any, Callable, Dict, NamedTuple, Optional, Tuple
 
-from ...foundation.errors import RuleError, shorten
+from ...foundation.displayed_text import shorten
+from ...foundation.errors import RuleError
 from ...foundation.similar_names import did_you_mean
 from ...prolog.terms.list_terms import list_items
 from ...prolog.terms.types import COLON, Atom, CompoundTerm, Term, Var, atom, deref, functor

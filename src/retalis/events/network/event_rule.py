@@ -33,7 +33,8 @@ from typing import (
 )
 
 from ...foundation.codegen import MAX_TERM_ARGUMENTS
-from ...foundation.errors import RuleError, UsageError, line_of
+from ...foundation.errors import RuleError, UsageError
+from ...foundation.source_places import line_of
 from ...prolog.terms.term_traversal import is_larger, variables
 from ...prolog.terms.timestamps import BEFORE_ALL_INSTANTS
 from ...prolog.terms.types import Atom, EventAction, Frame, Functor, Term, Values, Var, deref

@@ -30,7 +30,8 @@ from typing import (
     Union,
 )
 
-from ...foundation.errors import RuleError, shorten
+from ...foundation.displayed_text import shorten
+from ...foundation.errors import RuleError
 from ...prolog.syntax.term_writer import write_term
 from ...prolog.terms.list_terms import make_list
 from ...prolog.terms.term_traversal import positions, resolve, variables

@@ -8,7 +8,8 @@ before.
 
 from typing import Callable, Dict, List, Optional, Tuple
 
-from ...foundation.errors import Place, RuleError
+from ...foundation.errors import RuleError
+from ...foundation.source_places import Place
 from ...prolog.system.prolog_system import PrologSystem
 from ...prolog.terms.list_terms import list_items
 from ...prolog.terms.types import COMMA, Atom, Functor, Term, Var, deref, functor

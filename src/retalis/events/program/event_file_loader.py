@@ -20,15 +20,8 @@ import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Callable, Dict, List, NamedTuple, Optional, Sequence, Set, Tuple, Union
 
-from ...foundation.errors import (
-    Errors,
-    Place,
-    ProgramErrors,
-    RetalisError,
-    RuleError,
-    SyntaxFault,
-    UsageError,
-)
+from ...foundation.errors import Errors, ProgramErrors, RetalisError, RuleError, SyntaxFault, UsageError
+from ...foundation.source_places import Place
 from ...prolog.files.library_names import LIBRARY, check_library
 from ...prolog.machine.errors import PrologError
 from ...prolog.syntax.operators import Operators

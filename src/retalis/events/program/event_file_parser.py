@@ -10,7 +10,8 @@ from enum import Enum
 from itertools import chain
 from typing import Any, Callable, Dict, List, NamedTuple, Optional, Sequence, Set
 
-from ...foundation.errors import Errors, Place, RetalisError, RuleError
+from ...foundation.errors import Errors, RetalisError, RuleError
+from ...foundation.source_places import Place
 from ...prolog.builtins.grammar_and_ssu_rules import SINGLE_SIDED, translate_single_sided
 from ...prolog.database.goal_terms import split_clause
 from ...prolog.files.library_names import renaming_clauses

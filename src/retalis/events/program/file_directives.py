@@ -2,7 +2,8 @@
 
 from typing import Any, Iterable, List, Mapping, Optional, Tuple
 
-from ...foundation.errors import Errors, Place, RuleError, UsageError
+from ...foundation.errors import Errors, RuleError, UsageError
+from ...foundation.source_places import Place
 from ...prolog.machine.errors import PrologError
 from ...prolog.machine.machine import Machine
 from ...prolog.syntax.operators import DECLARE_EVENT

@@ -9,7 +9,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Callable, Iterator, List, NamedTuple, Optional, Tuple, Union
 
-from ...foundation.errors import Place, ProgramErrors, RetalisError, RuleError, SyntaxFault
+from ...foundation.errors import ProgramErrors, RetalisError, RuleError, SyntaxFault
+from ...foundation.source_places import Place
 from ...prolog.files.source_files import SourceFiles
 from ...prolog.syntax.operators import Operators
 from ...prolog.syntax.term_reader import ReadTerm, read_term

@@ -9,7 +9,8 @@ omitted, the file is rejected. During a reload, it is also rejected if more term
 
 from typing import TYPE_CHECKING, Any, Callable, List, NamedTuple, Optional
 
-from ...foundation.errors import Errors, Omission, Place, ProgramErrors, RetalisError, RuleError, SyntaxFault
+from ...foundation.errors import Errors, Omission, ProgramErrors, RetalisError, RuleError, SyntaxFault
+from ...foundation.source_places import Place
 from ...prolog.files.library_names import declare_operators
 from ...prolog.machine.errors import PrologError
 from ...prolog.machine.resource_limits import LimitError

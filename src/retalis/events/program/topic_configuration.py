@@ -9,23 +9,19 @@ from pathlib import Path
 from typing import Callable, Dict, FrozenSet, List, NamedTuple, Optional, Set, Tuple, Union
 from xml.parsers import expat
 
+from ...foundation.displayed_text import MAX_SHOWN_CHARACTERS, describe_decode_error, printable, shorten
 from ...foundation.errors import (
-    MAX_SHOWN_CHARACTERS,
     Errors,
-    Place,
     ProgramErrors,
     RetalisError,
     RuleError,
     SyntaxFault,
     UsageError,
-    describe_decode_error,
-    place_at_column,
-    printable,
-    shorten,
     suggest_file,
 )
 from ...foundation.ros_name_checks import ros1_type_name, topic_fault, type_fault
 from ...foundation.similar_names import did_you_mean
+from ...foundation.source_places import Place, place_at_column
 from ...foundation.unsaved_files import unsaved_text
 from ...messages.action_events import ACTION_EVENTS, ActionEvent, event_name
 from ...messages.type_definition import QUOTED_STRINGS, STRING_FORMS, functor_name

@@ -20,7 +20,8 @@ from typing import (
     Sequence,
 )
 
-from ...foundation.errors import UsageError, format_count
+from ...foundation.displayed_text import format_count
+from ...foundation.errors import UsageError
 from ...prolog.builtins.argument_checks import callable_of
 from ...prolog.machine.errors import domain_error, instantiation_error, resource_error
 from ...prolog.machine.machine import Machine

@@ -33,7 +33,8 @@ from typing import (
     Union,
 )
 
-from ...foundation.errors import RuleError, UsageError, format_count, shorten
+from ...foundation.displayed_text import format_count, shorten
+from ...foundation.errors import RuleError, UsageError
 from ...prolog.builtins.argument_checks import array_of
 from ...prolog.machine.arithmetic import EVALUABLE
 from ...prolog.syntax.term_writer import write_term

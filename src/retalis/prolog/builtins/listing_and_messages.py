@@ -8,7 +8,7 @@ import logging
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any, Callable, Dict, Iterable, Iterator, List, Optional, Tuple
 
-from ...foundation.errors import shorten
+from ...foundation.displayed_text import shorten
 from ..compiler.clause_nodes import ARROW, NOT, SEMICOLON, SOFT_ARROW
 from ..database.predicate import Predicate
 from ..machine.errors import ERROR, describe, indicator

@@ -11,7 +11,8 @@ The current output is a stack: a goal that captures its output (``with_output_to
 import sys
 from typing import TYPE_CHECKING, Any, Callable, Dict, Iterator, List, Optional, Tuple, Union
 
-from ...foundation.errors import SyntaxFault, printable
+from ...foundation.displayed_text import printable
+from ...foundation.errors import SyntaxFault
 from ..machine.errors import (
     ERROR,
     PrologError,

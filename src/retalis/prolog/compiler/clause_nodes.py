@@ -29,7 +29,7 @@ from typing import (
     Union,
 )
 
-from ...foundation.errors import Place
+from ...foundation.source_places import Place
 from ..machine.errors import type_error
 from ..machine.machine import Machine
 from ..terms.list_terms import conjuncts

@@ -19,7 +19,7 @@ and indexed argument.
 from typing import Any, Callable, Dict, FrozenSet, List, NamedTuple, Optional, Sequence, Tuple
 
 from ...foundation import codegen
-from ...foundation.errors import Place
+from ...foundation.source_places import Place
 from ..machine.machine import Code
 from ..terms.types import TRUE, Atom, CompoundTerm, Frame, FrameCode, Functor, Lazy, Step, Term, Var, deref
 from .body_code import BodyGenerator

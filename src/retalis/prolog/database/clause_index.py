@@ -13,7 +13,7 @@ clauses that were alive when it began (the logical update view).
 from typing import TYPE_CHECKING, Any, Callable, Dict, Iterable, List, Optional, Sequence, Tuple
 
 from ...foundation.codegen import MAX_TERM_ARGUMENTS
-from ...foundation.errors import Place
+from ...foundation.source_places import Place
 from ..compiler.predicate_code import key_of
 from ..terms.term_traversal import copy, is_ground, is_larger
 from ..terms.types import TRUE, Atom, Frame, Step, Term, Trail, Var

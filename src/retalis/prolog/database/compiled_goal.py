@@ -11,7 +11,7 @@ after `_MAX_BAILS` such attempts it is not tried again.
 from typing import TYPE_CHECKING, Any, Callable, Dict, List, Optional, Sequence, Tuple, Union
 
 from ...foundation.codegen import MAX_TERM_ARGUMENTS
-from ...foundation.errors import Place
+from ...foundation.source_places import Place
 from ..compiler.body_code import BodyGenerator
 from ..compiler.clause_nodes import BodyParser, CallNode, GoalNode, Height, needed_by
 from ..compiler.code_scope import ClauseVariables, CompilationUnit, Scope

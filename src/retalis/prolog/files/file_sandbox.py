@@ -14,13 +14,8 @@ import stat
 from contextlib import contextmanager
 from typing import Iterable, Iterator, List, Optional, Tuple, Union
 
-from ...foundation.errors import (
-    RetalisError,
-    UsageError,
-    describe_decode_error,
-    quote_shortened,
-    suggest_file,
-)
+from ...foundation.displayed_text import describe_decode_error, quote_shortened
+from ...foundation.errors import RetalisError, UsageError, suggest_file
 from ...foundation.unsaved_files import unsaved_text
 from ..machine.errors import (
     domain_error,

@@ -10,7 +10,8 @@ take longer than the goal that failed.
 
 from typing import Optional
 
-from ...foundation.errors import MAX_MESSAGE_CHARACTERS, RetalisError, TermTooLarge, shorten
+from ...foundation.displayed_text import shorten
+from ...foundation.errors import MAX_MESSAGE_CHARACTERS, RetalisError, TermTooLarge
 from ..syntax.term_writer import truncated_text
 from ..terms.types import COLON, COMMA, SLASH, Atom, Functor, String, Term, Var, atom, deref, functor
 

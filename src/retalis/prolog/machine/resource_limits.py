@@ -46,7 +46,8 @@ from typing import (
 
 from ...foundation.callbacks import CallbackList
 from ...foundation.cancellation import CURRENT_CHECK, register_budget
-from ...foundation.errors import UsageError, quote_shortened
+from ...foundation.displayed_text import quote_shortened
+from ...foundation.errors import UsageError
 from ...foundation.interrupts import PENDING, are_deferred, is_interrupted, postpone, raise_pending
 from ..terms.types import Term
 from .errors import PrologError, resource_error

@@ -13,7 +13,8 @@ from typing import Any, Callable, Dict, List, Optional, Tuple
 
 from ...foundation.bounded_caches import Cache
 from ...foundation.cancellation import STEPS_PER_ROUND, check_limits
-from ...foundation.errors import TermTooLarge, shorten
+from ...foundation.displayed_text import shorten
+from ...foundation.errors import TermTooLarge
 from ..machine.errors import representation_error, resource_error
 from ..syntax.literals import integer
 from ..terms.list_terms import make_list

@@ -27,7 +27,7 @@ from typing import (
 )
 
 from ...foundation.bounded_caches import Cache
-from ...foundation.errors import Place
+from ...foundation.source_places import Place
 from ..terms.types import CONS, CompoundTerm, Functor, Term, Var, deref, functor
 
 _ARROW = functor("<-", 2)

@@ -20,7 +20,8 @@ everything up to the next full stop, so they are handled separately:
 
 from typing import Any, Dict, Iterator, List, Optional, Tuple, Type, Union
 
-from ...foundation.errors import Place, SyntaxFault
+from ...foundation.errors import SyntaxFault
+from ...foundation.source_places import Place
 from ..terms.types import FALSE, TRUE, Term, Var, atom, functor
 from . import parser_stack
 from .literals import quote_end, unclosed_quote_end

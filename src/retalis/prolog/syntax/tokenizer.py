@@ -15,7 +15,8 @@ from bisect import bisect_right
 from typing import Any, Callable, Dict, Iterator, List, Match, NamedTuple, Optional, Tuple
 
 from ...foundation.cancellation import STEPS_PER_ROUND, check_limits
-from ...foundation.errors import Place, SyntaxFault, place_in_line
+from ...foundation.errors import SyntaxFault
+from ...foundation.source_places import Place, place_in_line
 from ..terms.list_terms import make_list
 from ..terms.types import String, Term, atom
 from . import literals

@@ -39,7 +39,8 @@ from typing import (
     overload,
 )
 
-from ...foundation.errors import RetalisError, UsageError, format_count
+from ...foundation.displayed_text import format_count
+from ...foundation.errors import RetalisError, UsageError
 from ..machine.errors import PrologError, instantiation_error, permission_error, type_error
 from ..machine.machine import Machine
 from ..machine.resource_limits import EntryExecutor

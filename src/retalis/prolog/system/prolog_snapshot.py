@@ -7,7 +7,7 @@ contain no code: compiled code is generated again by the system that restores th
 
 from typing import Any, Dict, List, NamedTuple, Optional, Union
 
-from ...foundation.errors import Place
+from ...foundation.source_places import Place
 from ...serialization.field_types import (
     ANYTHING,
     BOOLEAN,

@@ -21,7 +21,8 @@ from typing import (
     Tuple,
 )
 
-from ...foundation.errors import MAX_SHOWN_CHARACTERS, Place
+from ...foundation.displayed_text import MAX_SHOWN_CHARACTERS
+from ...foundation.source_places import Place
 from ..builtins.grammar_and_ssu_rules import (
     SINGLE_SIDED,
     is_error_clause_body,
