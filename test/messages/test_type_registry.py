@@ -135,6 +135,25 @@ def test_error_in_installed_type_names_file(tmp_path: Path) -> None:
     assert str(error.value.place) == f"{tmp_path}/pkg/msg/Bad.msg:2:6"
 
 
+def test_installed_texts_of_ros2_are_converted(tmp_path: Path) -> None:
+    write_package(tmp_path, "builtin_interfaces", Time="int32 sec\nuint32 nanosec\n")
+    write_package(tmp_path, "std_msgs", Header="builtin_interfaces/Time stamp\nstring frame_id\n")
+    write_package(
+        tmp_path, "pkg", Door="std_msgs/Header header\nbool open\n", Wide="string<=5 name\nint8 x -1\n"
+    )
+    registry = Definitions(InstalledTypes([str(tmp_path)], [], include_rosbags=False))
+    header = registry.find("pkg/Door").fields[0].definition
+    assert header is not None
+    assert [slot.describe() for slot in header.fields] == ["uint32", "time", "string"]
+    assert [slot.describe() for slot in registry.find("pkg/Wide").fields] == ["string", "int8"]
+
+
+def test_error_in_text_of_ros2_names_file(tmp_path: Path) -> None:
+    write_package(tmp_path, "pkg", Bad="wstring x\nmissing_msgs/Type y\n")
+    with pytest.raises(MessageError, match=r"Bad\.msg: the type missing_msgs/Type is not defined"):
+        Definitions(InstalledTypes([str(tmp_path)], [], include_rosbags=False)).find("pkg/Bad")
+
+
 def test_nested_packages_are_found(tmp_path: Path) -> None:
     write_package(tmp_path / "src" / "stack", "pkg", Type="int8 x\n")
     (tmp_path / "src" / ".hidden").mkdir()

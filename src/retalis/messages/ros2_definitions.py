@@ -41,6 +41,9 @@ FindText = Callable[[str], Optional[str]]
 _LINE = re.compile(
     r"\s*(?P<type>[\w/]+)(?P<bound><=[0-9]+)?(?P<array>\[(?:<=)?[0-9]*\])?\s+(?P<name>\w+)(?P<rest>(?:[\s=#].*)?)$"
 )
+_DEFAULT_VALUE = re.compile(r"[-+.0-9\"'\[]|(?i:true|false)\b")
+"""Beginning of the default value of a slot."""
+
 _QUOTED = re.compile(r"""\s*(?:"((?:[^"\\]|\\.)*)"|'((?:[^'\\]|\\.)*)')\s*(?:#.*)?$""")
 
 _ROS1_TYPES = {
@@ -200,6 +203,27 @@ def find_interfaces(name: str) -> Iterator[Tuple[Interface, str]]:
         for suffix in _DERIVED_SUFFIXES[syntax] if stated_folder in ("", folder) else ():
             if name.endswith(suffix):
                 yield Interface(name[: -len(suffix)], syntax), folder
+
+
+def is_ros2_text(text: str) -> bool:
+    """Return whether a definition is in the syntax of ROS 2, and is no definition of ROS 1.
+
+    A file of an installed package does not state its syntax. Most texts mean the same in both.
+    """
+    return any(map(_is_ros2_line, text.splitlines()))
+
+
+def _is_ros2_line(line: str) -> bool:
+    match = _LINE.match(line)
+    if match is None:
+        return False
+    rest = match["rest"].lstrip()
+    return bool(
+        match["type"] in ("wstring", "builtin_interfaces/Time", "builtin_interfaces/Duration")
+        or match["bound"]
+        or "<=" in (match["array"] or "")
+        or _DEFAULT_VALUE.match(rest)
+    )
 
 
 def convert_ros2_text(name: str, text: str, find: FindText, is_idl: bool = False) -> str:

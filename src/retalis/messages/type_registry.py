@@ -39,7 +39,7 @@ from .cdr_decoder import CdrDecoder
 from .cdr_encoder import CdrEncoder
 from .decoder import Decoder
 from .encoder import Encoder
-from .ros2_definitions import FindText, convert_ros2_text, find_interfaces
+from .ros2_definitions import FindText, convert_ros2_text, find_interfaces, is_ros2_text
 from .type_definition import (
     HEADER,
     HEADER_NAMES,
@@ -918,8 +918,11 @@ class _Resolver:
     def read_installed(self, name: str, installed_type: InstalledType) -> Definition:
         """Parse the definition of an installed type."""
         text = installed_type.text
-        if installed_type.is_derived:
-            text = convert_ros2_text(name, text, self._find_text)
+        if installed_type.is_derived or is_ros2_text(text):
+            try:
+                text = convert_ros2_text(name, text, self._find_text)
+            except MessageError as error:
+                raise MessageError(f"{installed_type.source}: {error}") from error
         sections = split_sections(name, text)
         # The text of a generated class contains the nested definitions as well, which take precedence within it.
         if len(sections) > 1:
@@ -932,7 +935,10 @@ class _Resolver:
 
     def _find_text(self, name: str) -> Optional[str]:
         installed_type = self.installed.find(name)
-        return None if installed_type is None else installed_type.text
+        if installed_type is not None:
+            return installed_type.text
+        known = self.registry.known(name)
+        return None if known is None else known.text
 
     def _resolve_nested(self, written_name: str, package: str) -> Definition:
         """Return the definition of a nested type, by the name that a type of ``package`` uses for it."""
