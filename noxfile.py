@@ -27,6 +27,7 @@ def _install(session: nox.Session) -> None:
         "pytest>=7",
         "pytest-xdist",
         "hypothesis",
+        "mcap",
         "tornado>=6",
         "distributed",
         "pygls<2",

@@ -5,12 +5,14 @@ import re
 import sys
 from collections import Counter
 from pathlib import Path
-from typing import List
+from typing import Any, List
 
 import pytest
 
-from retalis import BagReader
+from retalis import BagReader, Definitions
 from retalis.cli.command_line import main
+from retalis.playback.bag_locations import open_bag
+from retalis.prolog.syntax.event_text import to_text
 
 ROOT = Path(__file__).resolve().parents[2]
 sys.path.append(str(ROOT / "examples" / "nao"))
@@ -42,6 +44,55 @@ def test_outputs_are_written_to_bag(bag: Path, tmp_path: Path, capsys: pytest.Ca
     line_count = len(capsys.readouterr().out.splitlines())
     with BagReader(target) as reader:
         assert reader.messages == line_count > 0
+
+
+def read_events(path: Path) -> List[Any]:
+    """Return topic, time and event text of each message, sorted and without `seq`, which ROS 2 does not have."""
+    definitions = Definitions()
+    with open_bag(path) as reader:
+        return sorted(
+            (
+                record.topic.name,
+                record.time,
+                re.sub(
+                    r"Header\(\d+",
+                    "Header(0",
+                    to_text(definitions.decoder(record.topic.type, record.topic.format).decode(record.data)),
+                ),
+            )
+            for record in reader.records()
+        )
+
+
+def test_outputs_are_written_to_ros2_bag(bag: Path, tmp_path: Path) -> None:
+    pytest.importorskip("mcap")
+    command = ["bag", str(bag), "--program", PROGRAM, "--quiet", "--duration", "1", "--output"]
+    assert main([*command, str(tmp_path / "out.bag")]) == 0
+    assert main([*command, str(tmp_path / "out.mcap")]) == 0
+    events = read_events(tmp_path / "out.mcap")
+    assert events == read_events(tmp_path / "out.bag")
+    assert {topic for topic, _, _ in events} > {"/face_by_marker", "/marker1"}
+
+
+def test_ros1_output_of_ros2_bag_is_warned_of(
+    bag: Path, tf_program: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pytest.importorskip("mcap")
+    recording, target = tmp_path / "in.mcap", tmp_path / "out"
+    assert main(["bag", str(bag), "--program", PROGRAM, "--quiet", "--output", str(recording)]) == 0
+    options = ["--program", tf_program, "--direct", "false", "--quiet"]
+    assert main(["bag", str(recording), *options, "--output", str(target)]) == 0
+    warning = (
+        f"warning: --output {target}: this becomes a bag of ROS 1; a name that ends in .mcap makes it one of"
+    )
+    assert warning in capsys.readouterr().err
+    assert main(["bag", str(recording), *options, "--output", f"{target}.bag"]) == 0
+    assert "becomes a bag" not in capsys.readouterr().err
+
+
+def test_output_to_folder_needs_jobs(bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["bag", str(bag), "--program", PROGRAM, "--output", str(tmp_path)]) == 1
+    assert f"--output {tmp_path} is a folder: expected a file; with --jobs," in capsys.readouterr().err
 
 
 def test_quiet_option_prints_nothing(bag: Path, capsys: pytest.CaptureFixture[str]) -> None:

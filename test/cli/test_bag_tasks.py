@@ -16,6 +16,7 @@ from retalis.cli.bag_command import BagOutcome, BagTask, add_parser, play_bag
 from retalis.cli.many_bags_options import single_bag_options
 from retalis.cli.stderr_and_progress import MAX_BAG_TEXT_CHARACTERS
 from retalis.foundation.garbage_collection import stop_limiting_gc_pauses
+from retalis.playback.bag_locations import open_bag
 
 
 @pytest.fixture(autouse=True)
@@ -89,6 +90,17 @@ def test_parquet_result_has_records(program: Any, tmp_path: Path) -> None:
     rows = parquet.read_table(tmp_path / "p").to_pylist()
     assert [row["id"] for row in rows if row["output"]] == ["all", "all", "twice"]
     assert sum(row["event"] is not None for row in rows) == 3
+
+
+def test_mcap_result_has_published_messages(program: Any, tmp_path: Path) -> None:
+    pytest.importorskip("mcap")
+    bag = make_bag(tmp_path / "a.bag", "x", "x")
+    result = play_bag(make_task(program, bag, tmp_path / "a.mcap", "mcap"), str(tmp_path))
+    assert result == BagOutcome(0, "")
+    with open_bag(tmp_path / "a.mcap") as reader:
+        assert [(record.topic.name, record.data[8:-1]) for record in reader.records()] == [
+            ("/said", b"x")
+        ] * 3
 
 
 def test_failed_playback_leaves_no_file(program: Any, tmp_path: Path) -> None:

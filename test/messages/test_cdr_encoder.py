@@ -29,6 +29,7 @@ def encode(definition: Definition, text: str) -> bytes:
             cdr("??xxII2sxxI1s", 1, 0, 2, 2, b"x\0", 1, b"\0"),
         ),
         ("Header h", "std_msgs__0__Header(9,[4,5],'\"m\"')", cdr("iII2s", 4, 5, 2, b"m\0")),
+        ("string s\nstd_msgs/Empty e", "'\"a\"',std_msgs__0__Empty", cdr("I2sx", 2, b"a\0")),
         ("std_msgs/Empty e\nint8 a", "std_msgs__0__Empty,7", cdr("xb", 7)),
         ("std_msgs/Empty[] e\nint8 a", "[std_msgs__0__Empty,std_msgs__0__Empty],7", cdr("I2xb", 2, 7)),
         ("wstring w\nint8 a", "'\"aü\"',7", cdr("I2Ib", 2, ord("a"), ord("ü"), 7)),

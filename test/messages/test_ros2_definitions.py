@@ -5,13 +5,18 @@ from typing import Any, List, Tuple
 
 import pytest
 from asserting_accessors import compound, place_of
-from hypothesis import assume, given
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
+from messages.reference_wire_format import messages, serialize
 from messages.ros2_types import cdr, decode_text
 from messages.ros2_types import read_type as read
 from retalis import Definition, Definitions, MessageError
-from retalis.messages.ros2_definitions import ACTION_SYNTAX, Interface
+from retalis.messages.cdr_decoder import CdrDecoder
+from retalis.messages.cdr_encoder import CdrEncoder
+from retalis.messages.ros2_definitions import ACTION_SYNTAX, Interface, format_ros2_text, ros2_type_name
+from retalis.messages.type_definition import HEADER, PRIMITIVES
+from retalis.messages.type_registry import InstalledTypes
 from retalis.prolog.syntax.event_text import to_text
 
 
@@ -307,3 +312,96 @@ def test_odd_constant_of_ros2_is_ignored_with_warning(caplog: pytest.LogCaptureF
     assert slots(message_type) == ["int8 x"]
     (record,) = caplog.records
     assert record.getMessage() == "my_msgs/Kind: 'K' is defined twice: the constant is ignored"
+
+
+# ---- writing -----------------------------------------------------------------------------------------
+
+
+def test_definition_is_written_in_syntax_of_ros2() -> None:
+    text = (
+        'string QUOTED=say "hi"\nbyte LOW=-1\nbool ON=True\nfloat32 RATE=010.50\nint8 lower=1\n'
+        "Header header\ntime at\nduration[] waits\nfloat64[9] K\nstring D\nstring d\n"
+    )
+    definition = Definitions().add("my_msgs/Kind", text)
+    line = "=" * 80
+    assert format_ros2_text(definition) == (
+        'string QUOTED="say \\"hi\\""\nbyte LOW=255\nbool ON=true\nfloat32 RATE=10.5\n'
+        "std_msgs/Header header\nbuiltin_interfaces/Time at\nbuiltin_interfaces/Duration[] waits\n"
+        "float64[9] k\nstring D\nstring d\n"
+        f"{line}\nMSG: std_msgs/Header\nbuiltin_interfaces/Time stamp\nstring frame_id\n"
+        f"{line}\nMSG: builtin_interfaces/Time\nint32 sec\nuint32 nanosec\n"
+        f"{line}\nMSG: builtin_interfaces/Duration\nint32 sec\nuint32 nanosec\n"
+    )
+
+
+def test_wide_strings_are_written() -> None:
+    assert format_ros2_text(read("wstring[] names\n")) == "wstring[] names\n"
+
+
+@pytest.mark.parametrize(
+    ("name", "expected"),
+    [
+        ("std_msgs/String", "std_msgs/msg/String"),
+        ("tf/tfMessage", "tf2_msgs/msg/TFMessage"),
+        ("lab/Go_Event", "lab/srv/Go_Event"),
+        ("lab/Dock_SendGoal_Request", "lab/action/Dock_SendGoal_Request"),
+    ],
+)
+def test_names_are_those_of_ros2(name: str, expected: str) -> None:
+    assert ros2_type_name(name) == expected
+
+
+PARTS = f"""
+{"=" * 80}
+MSG: my_msgs/Inner
+Header header
+uint8 x
+string[] names
+Nothing[2] nothings
+float64 K
+{"=" * 80}
+MSG: my_msgs/Nothing
+{"=" * 80}
+MSG: {HEADER}
+uint32 seq
+time stamp
+string frame_id
+"""
+
+
+# A `byte` of ROS 2 has no sign, so arrays of it are texts.
+SLOT_TYPES = st.tuples(
+    st.sampled_from(
+        [*sorted({*PRIMITIVES} - {"byte"}), "string", "time", "duration", "Header", "Inner", "Nothing"]
+    ),
+    st.sampled_from(["", "", "[]", "[3]"]),
+).map("".join)
+
+
+def limit_values(definition: Definition, values: List[Any]) -> List[Any]:
+    """Replace the values that a message of ROS 2 cannot have: times after 2038, and `seq`."""
+
+    def limit(slot: Any, value: Any) -> Any:
+        if slot.definition is not None:
+            return limit_values(slot.definition, value)
+        return [value[0] % 2**31, value[1]] if slot.type == "time" else value
+
+    limited = [
+        limit(slot, value) if slot.length is None or slot.is_bytes else [limit(slot, item) for item in value]
+        for slot, value in zip(definition.fields, values)
+    ]
+    return [0, *limited[1:]] if definition.name == HEADER else limited
+
+
+@settings(deadline=None, derandomize=True, max_examples=60)
+@given(st.lists(SLOT_TYPES, max_size=6), st.data())
+def test_random_types_survive_round_trip(slot_types: List[str], data: st.DataObject) -> None:
+    text = "".join(f"{slot_type} slot{number}\n" for number, slot_type in enumerate(slot_types))
+    registry = Definitions(InstalledTypes([], [], include_rosbags=False))
+    definition = registry.add("my_msgs/Kind", f"{text}{PARTS}")
+    message = serialize(definition, limit_values(definition, data.draw(messages(definition))))
+    converted = read(format_ros2_text(definition), ros2_type_name(definition.name), lambda name: None)
+    cdr_message = CdrEncoder(definition).encode(registry.decoder(definition).decode(message))
+    term = CdrDecoder(converted).decode(cdr_message)
+    assert registry.encoder(definition).encode(term) == message
+    assert CdrEncoder(converted).encode(term) == cdr_message

@@ -9,12 +9,13 @@ does not depend on the number of workers.
 """
 
 import argparse
+import logging
 import os
 import shutil
 import sys
 import threading
 from collections import deque
-from contextlib import ExitStack, closing, nullcontext, redirect_stderr, redirect_stdout
+from contextlib import ExitStack, closing, contextmanager, nullcontext, redirect_stderr, redirect_stdout
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import (
@@ -25,6 +26,7 @@ from typing import (
     Dict,
     Generator,
     Iterable,
+    Iterator,
     List,
     Mapping,
     NamedTuple,
@@ -43,6 +45,7 @@ from ..foundation.errors import RetalisError, UsageError
 from ..foundation.garbage_collection import limit_gc_pauses, restore_gc
 from ..foundation.interrupts import check_interrupt, interruptible
 from ..foundation.output_files import print_json
+from ..messages.type_definition import Definition, SerializationFormat
 from ..playback.bag_locations import (
     BagLocation,
     MergedBag,
@@ -55,6 +58,7 @@ from ..playback.bag_locations import (
     result_file,
 )
 from ..playback.incomplete_files import INCOMPLETE_STATUS, IncompleteFile
+from ..playback.mcap_writer import McapWriter
 from ..playback.playback import (
     Output,
     Playback,
@@ -92,6 +96,7 @@ from .dask_cluster import (
 )
 from .event_and_solution_printer import JSON_HELP, Printer, TimeOrigin, redirect_goal_output
 from .many_bags_options import (
+    BAG_FORMATS,
     add_many_bags_options,
     check_many_bags_options,
     requests_separate_runs,
@@ -124,6 +129,11 @@ from .stderr_and_progress import (
 
 if TYPE_CHECKING:
     from ..testing.rule_coverage import CoveredPart
+
+log = logging.getLogger("retalis")
+
+MCAP_SUFFIX = ".mcap"
+"""Suffix of bags of ROS 2 that are written."""
 
 DESCRIPTION = """\
 Run a program over bags and print its outputs, as output(TERM,TOPIC) terms. Several bags are played as one,
@@ -161,8 +171,13 @@ def add_parser(add_command: Callable[..., argparse.ArgumentParser]) -> None:
     )
     add_source(parser)
     add = parser.add_argument
-    add("-o", "--output", metavar="BAG", help="write the published messages to a bag")
-    add("--overwrite", action="store_true", help="replace this bag if it exists")
+    add(
+        "-o",
+        "--output",
+        metavar="BAG",
+        help=f"write the outputs to a bag ({MCAP_SUFFIX}: of ROS 2)",
+    )
+    add("--overwrite", action="store_true", help="replace an existing bag")
     add("-v", "--events", action="store_true", help="print each event too, as event(TERM,[T1,T2])")
     add(
         "--times",
@@ -362,8 +377,11 @@ def play(
         # defines.
         bags = stack.enter_context(open_bags(options))
         # Each line of output is JSON, so what goals print, also while the program is loaded, goes to standard error.
+        output_format = _select_output_format(options)
         with redirect_stdout(sys.stderr) if options.json else nullcontext():
-            playback = create_playback(options, reporter, bags, state, _records_coverage(options))
+            playback = create_playback(
+                options, reporter, bags, state, _records_coverage(options), output_format
+            )
         recorder = None
         if _records_coverage(options):
             from ..testing.rule_coverage import CoverageRecorder  # noqa: PLC0415 - see `_report_coverage`
@@ -374,7 +392,6 @@ def play(
         # Recording costs time and memory per event, so it is switched on only for the explanations.
         if options.explain:
             record_origins(playback.engine)
-        writer = _open_output(options, playback, stack)
         bar = stack.enter_context(show_progress("messages", lambda: elapsed_fraction(playback, bags)))
         printer = _RunPrinter(options, playback, bar, write_record, bags.start)
         # After the program is loaded: only the objects of the run are left to the collector.
@@ -385,6 +402,9 @@ def play(
             incomplete_files = tuple(
                 file._replace(path=file.path.replace(options.bags[0], location)) for file in incomplete_files
             )
+        writer = None
+        if options.output is not None:
+            writer = stack.enter_context(_open_output(options, playback, bags, incomplete_files))
         printer.print_incomplete_files(incomplete_files)
         for output in playback.run(bags, printer.advance, is_last, flush_time):
             check_interrupt()
@@ -414,6 +434,7 @@ def create_playback(
     bags: Optional[MergedBag] = None,
     state: Optional[bytes] = None,
     counts_uses: bool = False,
+    output_format: SerializationFormat = SerializationFormat.ROS1,
 ) -> Playback:
     """Load the program of the options.
 
@@ -424,6 +445,7 @@ def create_playback(
             types of the system suffice.
         state: snapshot of the program to continue from; None to start without state.
         counts_uses: whether the parts of the program count their uses.
+        output_format: serialization of the published messages.
     """
     settings = apply_limits(apply_folders(Settings(), options), options)
     settings = settings._replace(
@@ -443,6 +465,7 @@ def create_playback(
         direct=options.direct,
         definitions=definitions,
         prepare=connect_answers(options, definitions),
+        output_format=output_format,
     )
 
 
@@ -546,31 +569,65 @@ class _RunPrinter:
             self._bar.clear()
 
 
+def _select_output_format(options: argparse.Namespace) -> SerializationFormat:
+    """Return the serialization of the outputs in the bag of option ``--output``."""
+    is_ros2 = options.output is not None and options.output.endswith(MCAP_SUFFIX)
+    return SerializationFormat.CDR if is_ros2 else SerializationFormat.ROS1
+
+
+@contextmanager
 def _open_output(
-    options: argparse.Namespace, playback: Playback, stack: ExitStack
-) -> "Optional[_OutputWriter]":
-    """Open the bag for outputs; return None if none is requested.
+    options: argparse.Namespace,
+    playback: Playback,
+    bags: MergedBag,
+    incomplete_files: Iterable[IncompleteFile],
+) -> "Iterator[_OutputWriter]":
+    """Open the bag for outputs.
 
     Raises:
         UsageError: if the bag is one of those that are read, or exists and may not be overwritten.
     """
-    if options.output is None:
-        return None
     path = Path(options.output)
     # Compared as resolved paths: overwriting would truncate the recording before it is read.
     if any(path.resolve() == Path(bag).resolve() for bag in options.bags):
         raise UsageError(f"--output {path}: this is the bag that is read")
+    if path.is_dir():
+        raise UsageError(
+            f"--output {path} is a folder: expected a file; with --jobs, each bag has one in a folder"
+        )
     if path.exists() and not options.overwrite:
         raise UsageError(f"{path} already exists; --overwrite replaces it")
-    return _OutputWriter(stack.enter_context(BagWriter(path, options.overwrite)), playback.is_latched)
+    if _select_output_format(options) is SerializationFormat.CDR:
+        records = list(map(make_incomplete_file_record, incomplete_files))
+        with McapWriter(path, options.overwrite, records) as mcap:
+            yield _OutputWriter(
+                lambda topic, definition: mcap.add(topic, definition, playback.published_quality(topic)),
+                mcap.write,
+            )
+        return
+    if path.suffix != ".bag" and any(topic.format is SerializationFormat.CDR for topic in bags.topics):
+        log.warning(
+            "--output %s: this becomes a bag of ROS 1; a name that ends in %s makes it one of ROS 2",
+            path,
+            MCAP_SUFFIX,
+        )
+    with BagWriter(path, options.overwrite) as bag:
+        yield _OutputWriter(
+            lambda topic, definition: bag.add(topic, definition, playback.is_latched(topic)), bag.write
+        )
 
 
 class _OutputWriter:
-    """Writer of outputs into a bag, with one connection per topic."""
+    """Writer of outputs into a bag, with one connection per topic.
 
-    def __init__(self, writer: BagWriter, is_latched: Callable[[str], bool]):
-        self._writer = writer
-        self._is_latched = is_latched
+    Args:
+        add: adds a topic of a type to the bag; returns the first argument of ``write``.
+        write: writes a message, with its time.
+    """
+
+    def __init__(self, add: Callable[[str, Definition], object], write: Callable[[object, int, bytes], None]):
+        self._add = add
+        self._write = write
         self._connections: Dict[str, object] = {}
 
     def write(self, output: Output) -> None:
@@ -580,8 +637,8 @@ class _OutputWriter:
         # Names in a bag are absolute.
         topic = output.topic if output.topic.startswith("/") else f"/{output.topic}"
         if topic not in self._connections:
-            self._connections[topic] = self._writer.add(topic, output.definition, self._is_latched(topic))
-        self._writer.write(self._connections[topic], output.time, output.data)
+            self._connections[topic] = self._add(topic, output.definition)
+        self._write(self._connections[topic], output.time, output.data)
 
 
 class BagTask(NamedTuple):
@@ -687,7 +744,7 @@ def _play_to_file(result: str, bag: str, task: BagTask, reporter: StderrReporter
     options = argparse.Namespace(**task.options, bags=[bag], output=None, overwrite=True)
     write_record: RecordHandler = print_record
     with ExitStack() as stack:
-        if task.format == "bag":
+        if task.format in BAG_FORMATS:
             # The recording has the outputs, so they are not printed.
             options.output, options.quiet = result, True
         elif task.format is not None:

@@ -8,8 +8,11 @@ from ..foundation.errors import UsageError
 from ..playback.bag_locations import is_folder_of_bags, is_url
 from .option_values import positive_integer
 
-FORMATS = ("bag", "parquet", "jsonl")
-"""Formats of the results of separate runs."""
+BAG_FORMATS = ("bag", "mcap")
+"""Formats of results that contain published messages: bags of ROS 1 and of ROS 2."""
+
+FORMATS = (*BAG_FORMATS, "parquet", "jsonl")
+"""Formats of the results of separate runs, and the suffixes of their files."""
 
 
 _MANY_BAGS_OPTIONS = (
@@ -105,7 +108,7 @@ def check_many_bags_options(options: argparse.Namespace) -> None:
         raise UsageError(
             "--write-folder: bags that are played at the same time would write over each other's files"
         )
-    if result_format == "bag" and options.events:
+    if result_format in BAG_FORMATS and options.events:
         raise UsageError("--events: a bag contains only published messages; use --format jsonl or parquet")
     _check_printed_lines(options, result_format)
     _check_output(options)
@@ -135,7 +138,7 @@ def _check_printed_lines(options: argparse.Namespace, result_format: Optional[st
     Raises:
         UsageError: if there are any.
     """
-    if result_format in ("bag", "parquet"):
+    if result_format in (*BAG_FORMATS, "parquet"):
         for name, value, content in (
             ("explain", options.explain, "explanations"),
             ("open", options.prints_open, "open states and windows"),

@@ -596,7 +596,9 @@ class FrameDecoderGenerator(DecoderGenerator):
             "      if k is None: return fallback(data)",
         ]
         if tail.size:
-            lines.append(f"    {', '.join(self.run_variables)}, = tail(data, {self.tail_offset(tail.size)})")
+            # The byte of a type without slots, in CDR, has no variable.
+            variables_text = f"{', '.join(self.run_variables)}, = " if self.run_variables else ""
+            lines.append(f"    {variables_text}tail(data, {self.tail_offset(tail.size)})")
         lines += ["  except StructError:", "    return fallback(data)"]
         # A cached entry has the strings, the values beside them, and the frame's state, which `observe` replaces.
         variables = list(self.string_variables)

@@ -9,6 +9,8 @@ The lines are parsed here instead of with ``get_types_from_msg`` of rosbags: tha
 ``wstring<=4``, gives errors no position, and in version 0.9.20 renames slots that are keywords of Python and rejects
 default values of strings without quotes. `idl_definitions` converts definitions in IDL.
 
+`format_ros2_text` is the inverse, for bags of ROS 2 that this package writes.
+
 rosidl derives message types from services and actions: ``pkg/srv/Type_Event`` from ``Type.srv``,
 ``pkg/action/Type_FeedbackMessage`` from ``Type.action`` (see `Interface`). The text that ``ros2 bag`` stores for them
 is that of the file, after a heading ``SRV: pkg/srv/Type``. Others store the derived definitions themselves.
@@ -16,6 +18,7 @@ is that of the file, after a heading ``SRV: pkg/srv/Type``. Others store the der
 
 import re
 from collections import deque
+from math import isfinite
 from typing import Callable, Deque, Dict, Iterator, List, NamedTuple, Optional, Set, Tuple
 
 from ..foundation.displayed_text import quote_shortened, shorten
@@ -27,8 +30,11 @@ from .type_definition import (
     EXPECTED_CONSTANT_TYPE,
     HEADER,
     PRIMITIVES,
+    SEPARATOR,
     TIMES,
     WIDE_STRING_COMMENT,
+    Constant,
+    Definition,
     lines_with_offsets,
     parse_constant,
     split_sections,
@@ -55,6 +61,11 @@ _ROS1_TYPES = {
     "builtin_interfaces/Duration": "duration",
 }
 """Names of types in ROS 1."""
+
+NAMES_IN_ROS2 = {"tf/tfMessage": "tf2_msgs/TFMessage"}
+"""Types of ROS 1 that programs name, and that ROS 2 has under another name."""
+
+_TIMES_IN_ROS2 = {"time": "builtin_interfaces/Time", "duration": "builtin_interfaces/Duration"}
 
 _STRING_TYPES = ("string", "wstring")
 
@@ -461,3 +472,58 @@ class _Ros2DefinitionReader:
         local_name = f"{self.name.partition('/')[0]}/{type_name}"
         candidates = self.by_short_name.get(type_name, [])
         return candidates[0] if local_name not in self.texts and len(candidates) == 1 else local_name
+
+
+def ros2_type_name(name: str) -> str:
+    """Return the name that a type, ``pkg/Type``, has in ROS 2: ``pkg/msg/Type``, or that of a derived type."""
+    name = NAMES_IN_ROS2.get(name, name)
+    # `Dock_SendGoal_Request` belongs to the action `Dock`, not to a service `Dock_SendGoal`.
+    interfaces = sorted(find_interfaces(name), key=lambda pair: len(pair[0].name))
+    folder = interfaces[0][1] if interfaces else "msg"
+    return name.replace("/", f"/{folder}/")
+
+
+def format_ros2_text(definition: Definition) -> str:
+    """Return the definition of a type with those of all nested types, in the syntax of ROS 2.
+
+    Slots whose names are capital letters, such as ``K``, have the lower-case names that ROS 2 requires.
+    """
+    types = (definition, *definition.dependencies())
+    texts = {NAMES_IN_ROS2.get(nested.name, nested.name): _format_ros2_section(nested) for nested in types}
+    slot_types = {slot.type for nested in types for slot in nested.fields}
+    texts.update((name, _INSTANT) for time, name in _TIMES_IN_ROS2.items() if time in slot_types)
+    first, *others = texts.items()
+    return "".join([first[1], *(f"{SEPARATOR}\nMSG: {name}\n{text}" for name, text in others)])
+
+
+def _format_ros2_section(definition: Definition) -> str:
+    lines = []
+    for constant in definition.constants:
+        value = _format_ros2_value(constant)
+        if value is not None:
+            lines.append(f"{constant.type} {constant.name}={value}\n")
+    names = {slot.name for slot in definition.fields}
+    for slot in definition.fields:
+        if definition.name == HEADER and slot.name == "seq":
+            continue
+        type_name = "wstring" if slot.is_wide else _TIMES_IN_ROS2.get(slot.type, slot.type)
+        type_name = NAMES_IN_ROS2.get(type_name, type_name)
+        name = slot.name.lower()
+        if not slot.name.isupper() or name in names:
+            name = slot.name
+        lines.append(f"{slot._replace(type=type_name).describe()} {name}\n")
+    return "".join(lines)
+
+
+def _format_ros2_value(constant: Constant) -> Optional[str]:
+    """Return the value of a constant in the syntax of ROS 2, or None if ROS 2 cannot have the constant."""
+    name, value = constant.name, constant.value
+    if not name.isupper() or "__" in name or name[-1] == "_":
+        return None
+    if isinstance(value, str):
+        escaped = value.replace("\\", "\\\\").replace('"', '\\"')
+        return f'"{escaped}"'
+    if isinstance(value, float):
+        return repr(value) if isfinite(value) else None
+    # A `byte` of ROS 1 has a sign, that of ROS 2 has none.
+    return str(value % 256 if constant.type == "byte" else value).lower()

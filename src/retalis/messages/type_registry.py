@@ -39,7 +39,7 @@ from .cdr_decoder import CdrDecoder
 from .cdr_encoder import CdrEncoder
 from .decoder import Decoder
 from .encoder import Encoder
-from .ros2_definitions import FindText, convert_ros2_text, find_interfaces, is_ros2_text
+from .ros2_definitions import NAMES_IN_ROS2, FindText, convert_ros2_text, find_interfaces, is_ros2_text
 from .type_definition import (
     HEADER,
     HEADER_NAMES,
@@ -412,9 +412,6 @@ def _read_rosbags_type(package: str, type_name: str) -> Optional[InstalledType]:
     # Versions for Python 3.8 write the constants of type byte so, and its slots as byte.
     return InstalledType(f"\n{text}".replace("\noctet ", "\nbyte ")[1:], "rosbags")
 
-
-_ALIASES = {"tf/tfMessage": "tf2_msgs/TFMessage"}
-"""Types that are another type under an old name, with equal text and checksum."""
 
 _FALLBACK_DEFINITIONS = {
     "tf2_msgs/TFMessage": "geometry_msgs/TransformStamped[] transforms\n",
@@ -893,8 +890,8 @@ class _Resolver:
             return known
         if name in _FALLBACK_DEFINITIONS:
             return parse(name, _FALLBACK_DEFINITIONS[name], self._resolve_nested)
-        if name in _ALIASES:
-            return self.resolve(_ALIASES[name]).renamed(name)
+        if name in NAMES_IN_ROS2:
+            return self.resolve(NAMES_IN_ROS2[name]).renamed(name)
         event = find_action_event(name)
         if event is not None:
             return parse(name, event.text, self._resolve_nested)

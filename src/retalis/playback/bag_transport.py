@@ -84,6 +84,9 @@ class RefusedConnection(NamedTuple):
 class BagTransport:
     """A bag, or several one after the other, as `MessageTransport`.
 
+    Args:
+        output_format: value of ``format``.
+
     Attributes:
         format: serialization of outputs.
         received_formats: those of all bags.
@@ -93,8 +96,8 @@ class BagTransport:
             hash all its fields for every message.
     """
 
-    def __init__(self) -> None:
-        self.format = SerializationFormat.ROS1
+    def __init__(self, output_format: SerializationFormat = SerializationFormat.ROS1) -> None:
+        self.format = output_format
         self.received_formats: Tuple[SerializationFormat, ...] = (
             SerializationFormat.ROS1,
             SerializationFormat.CDR,

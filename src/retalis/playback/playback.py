@@ -58,9 +58,11 @@ from ..events.program.topic_configuration import (
     AUTO,
     TOPICS,
     DirectTopics,
+    QualityOfService,
     Topics,
     TopicType,
     direct_topics,
+    quality_of,
     read_topics,
 )
 from ..foundation.displayed_text import format_count, quote_shortened
@@ -70,7 +72,7 @@ from ..foundation.ros_name_checks import ros1_type_name, topic_fault, type_fault
 from ..messages.action_events import ACTION_EVENTS, find_action_event
 from ..messages.decoder import Decoder
 from ..messages.transform_messages import TRANSFORM_TOPICS
-from ..messages.type_definition import Definition
+from ..messages.type_definition import Definition, SerializationFormat
 from ..messages.type_registry import Definitions
 from ..node.running_program import OutputCallbacks, ProgramContext, RunningProgram, make_event_handler
 from ..node.subscribed_topics import (
@@ -172,6 +174,7 @@ class Playback:
         definitions: the known message types, to which those of bags are added; the installed types by default.
         prepare: called with the new engine before the program is loaded, for example to answer calls of services.
         make_handler: returns the functions from messages to events.
+        output_format: serialization of the published messages.
 
     Raises:
         UsageError: if a file of the program cannot be read, or the state is invalid.
@@ -190,9 +193,10 @@ class Playback:
         definitions: Optional[Definitions] = None,
         prepare: Callable[[Engine], object] = lambda engine: None,
         make_handler: HandlerFactory = make_event_handler,
+        output_format: SerializationFormat = SerializationFormat.ROS1,
     ):
         self._folder = folder = Path(program)
-        self._transport = BagTransport()
+        self._transport = BagTransport(output_format)
         self.clock = self._transport.clock
         # A bag can contain a million messages with the same problem.
         self._reports = Reports(once=True)
@@ -217,6 +221,7 @@ class Playback:
         self._outputs: List[Output] = []
         self._make_handler = make_handler
         self._read_events: Optional[FrozenSet[str]] = None
+        self._published_quality = topic_file.published_quality
         self._latched_topics = set(map(self._transport.resolve_topic, topic_file.latched))
         added_topics = [TopicType(topic.topic, ros1_type_name(topic.type)) for topic in topics]
         self._program = self._create_program(topic_file, added_topics, direct)
@@ -430,6 +435,19 @@ class Playback:
         False
         """
         return self._transport.resolve_topic(topic) in self._latched_topics
+
+    def published_quality(self, topic: str) -> QualityOfService:
+        """Return the quality of service that a node of ROS 2 offers for a published topic, as far as it is stated.
+
+        A latched topic is transient local, unless ``pub_sub.xml`` demands something else.
+
+        >>> Playback(folder, report=print).published_quality("echo").is_transient_local
+        False
+        """
+        quality = quality_of(self._published_quality, topic, self._transport.resolve_topic)
+        if quality.is_transient_local is None:
+            return quality._replace(is_transient_local=self.is_latched(topic))
+        return quality
 
     def _convert_messages(
         self, records: Iterable[Any], count_message: Callable[[], object]

@@ -41,6 +41,7 @@ from typing import (
     Set,
     Tuple,
     Type,
+    TypeVar,
     Union,
 )
 
@@ -425,7 +426,97 @@ class BagReader:
         self.close()
 
 
-class BagWriter:
+class NewBag:
+    """A bag file that is being written; a context manager.
+
+    The file is written beside its path, and renamed by `close`. If the block of the context manager raises an
+    exception, it is discarded, and the path stays as it was.
+
+    Args:
+        path: path of the file.
+        overwrite: whether an existing file may be replaced.
+
+    Raises:
+        BagError: if the file exists already, or cannot be written.
+    """
+
+    def __init__(self, path: PathLike, overwrite: bool = False):
+        self.path = Path(path)
+        # A folder is never replaced.
+        if self.path.exists() and not (overwrite and self.path.is_file()):
+            raise BagError(f"{self.path} already exists")
+        self._stack = ExitStack()
+        self._is_open = True
+        with self._discarding_on_error():
+            self._start(self._stack.enter_context(replace_file(self.path)))
+
+    def _start(self, path: Path) -> None:
+        """Create the file."""
+        raise NotImplementedError
+
+    def _finish(self) -> None:
+        """Write the index, and close the file."""
+        raise NotImplementedError
+
+    def _close_file(self) -> None:
+        """Close the file, if it was created, without writing the index."""
+        raise NotImplementedError
+
+    @contextmanager
+    def _discarding_on_error(self) -> Iterator[None]:
+        """Discard the file after any exception; raise a `BagError` for one of the file system."""
+        try:
+            yield
+        except BaseException as error:
+            self._discard(error)
+            if isinstance(error, OSError):
+                raise BagError(f"{self.path} cannot be written: {describe_error(error)}") from error
+            raise
+
+    def _discard(self, error: BaseException) -> None:
+        """Close and remove the file; the target stays as it was."""
+        self._is_open = False
+        # Closing writes the buffer, which may fail, and closes the file nevertheless.
+        with suppress(OSError):
+            self._close_file()
+        # The context manager of the file raises the exception that it is given.
+        with suppress(type(error)):
+            self._stack.__exit__(type(error), error, error.__traceback__)
+
+    def close(self) -> None:
+        """Write the index, and give the file its name; further calls have no effect.
+
+        >>> bag = BagWriter(folder / "silence.bag")
+        >>> bag.close()
+
+        Raises:
+            BagError: if the file cannot be written.
+        """
+        if self._is_open:
+            with self._discarding_on_error():
+                self._finish()
+                self._stack.close()
+            self._is_open = False
+
+    def __enter__(self: "NewBagType") -> "NewBagType":
+        return self
+
+    def __exit__(
+        self,
+        error_type: Optional[Type[BaseException]],
+        error: Optional[BaseException],
+        traceback: Optional[TracebackType],
+    ) -> None:
+        if error is None:
+            self.close()
+        else:
+            self._discard(error)
+
+
+NewBagType = TypeVar("NewBagType", bound=NewBag)
+
+
+class BagWriter(NewBag):
     """A new ROS 1 bag; a context manager. The bag is complete when it is closed.
 
     >>> with BagWriter(folder / "new.bag") as bag:
@@ -445,38 +536,20 @@ class BagWriter:
     """
 
     def __init__(self, path: PathLike, overwrite: bool = False):
-        self.path = Path(path)
-        writer_class = import_rosbags("rosbag1").Writer
-        # A folder is never replaced.
-        if self.path.exists() and not (overwrite and self.path.is_file()):
-            raise BagError(f"{self.path} already exists")
-        self._stack = ExitStack()
-        self._is_open = True
-        self._writer = writer_class(self._stack.enter_context(replace_file(self.path)))
-        with self._discarding_on_error():
-            self._writer.open()
+        self._writer_class = import_rosbags("rosbag1").Writer
+        self._writer: Any = None
+        super().__init__(path, overwrite)
 
-    @contextmanager
-    def _discarding_on_error(self) -> Iterator[None]:
-        """Discard the file after any exception; raise a `BagError` for one of the file system."""
-        try:
-            yield
-        except BaseException as error:
-            self._discard(error)
-            if isinstance(error, OSError):
-                raise BagError(f"{self.path} cannot be written: {describe_error(error)}") from error
-            raise
+    def _start(self, path: Path) -> None:
+        self._writer = self._writer_class(path)
+        self._writer.open()
 
-    def _discard(self, error: BaseException) -> None:
-        """Close and remove the file; the target stays as it was."""
-        self._is_open = False
-        # Closing writes the buffer, which may fail, and closes the file nevertheless.
-        if self._writer.bio is not None:
-            with suppress(OSError):
-                self._writer.bio.close()
-        # The context manager of the file raises the exception that it is given.
-        with suppress(type(error)):
-            self._stack.__exit__(type(error), error, error.__traceback__)
+    def _finish(self) -> None:
+        self._writer.close()
+
+    def _close_file(self) -> None:
+        if self._writer is not None and self._writer.bio is not None:
+            self._writer.bio.close()
 
     def add(self, topic: str, definition: Definition, latched: bool = False, caller: str = "") -> object:
         """Add a connection; return the argument for `write` that identifies it."""
@@ -498,35 +571,6 @@ class BagWriter:
         """
         with self._discarding_on_error():
             self._writer.write(connection, time, data)
-
-    def close(self) -> None:
-        """Write the index, and give the file its name; further calls have no effect.
-
-        >>> bag = BagWriter(folder / "silence.bag")
-        >>> bag.close()
-
-        Raises:
-            BagError: if the file cannot be written.
-        """
-        if self._is_open:
-            with self._discarding_on_error():
-                self._writer.close()
-                self._stack.close()
-            self._is_open = False
-
-    def __enter__(self) -> "BagWriter":
-        return self
-
-    def __exit__(
-        self,
-        error_type: Optional[Type[BaseException]],
-        error: Optional[BaseException],
-        traceback: Optional[TracebackType],
-    ) -> None:
-        if error is None:
-            self.close()
-        else:
-            self._discard(error)
 
 
 ROSBAGS_HINT = (

@@ -13,11 +13,8 @@ from typing import Any, List, Optional
 from ..foundation.displayed_text import quote_shortened, shorten
 from ..foundation.errors import MessageError
 from ..foundation.ros_name_checks import ros1_type_name
-from ..messages.ros2_definitions import find_interfaces
+from ..messages.ros2_definitions import NAMES_IN_ROS2, find_interfaces
 from ..messages.type_registry import InstalledType, InstalledTypes, parse_ros2_type
-
-_NAMES_IN_ROS2 = {"tf/tfMessage": "tf2_msgs/TFMessage"}
-"""Types of ROS 1 that programs name, and that ROS 2 has under another name."""
 
 
 def ament_prefixes() -> List[str]:
@@ -69,7 +66,7 @@ class InstalledInterfaces(InstalledTypes):
             MessageError: if the type is not installed, or its class cannot be imported.
         """
         name = ros1_type_name(name)
-        name = _NAMES_IN_ROS2.get(name, name)
+        name = NAMES_IN_ROS2.get(name, name)
         installed_type = super().find(name)
         if installed_type is None:
             suggestion = "its package has to be built, and its setup.bash sourced before this node starts"
