@@ -47,8 +47,8 @@ FindText = Callable[[str], Optional[str]]
 _LINE = re.compile(
     r"\s*(?P<type>[\w/]+)(?P<bound><=[0-9]+)?(?P<array>\[(?:<=)?[0-9]*\])?\s+(?P<name>\w+)(?P<rest>(?:[\s=#].*)?)$"
 )
-_DEFAULT_VALUE = re.compile(r"[-+.0-9\"'\[]|(?i:true|false)\b")
-"""Beginning of the default value of a slot."""
+_DEFAULT_VALUE_STARTS = (*"-+.0123456789\"'[", "true", "false", "True", "False")
+"""Beginnings of the default value of a slot."""
 
 _QUOTED = re.compile(r"""\s*(?:"((?:[^"\\]|\\.)*)"|'((?:[^'\\]|\\.)*)')\s*(?:#.*)?$""")
 
@@ -233,7 +233,7 @@ def _is_ros2_line(line: str) -> bool:
         match["type"] in ("wstring", "builtin_interfaces/Time", "builtin_interfaces/Duration")
         or match["bound"]
         or "<=" in (match["array"] or "")
-        or _DEFAULT_VALUE.match(rest)
+        or rest.startswith(_DEFAULT_VALUE_STARTS)
     )
 
 
