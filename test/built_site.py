@@ -3,7 +3,7 @@
 from typing import Any, List
 
 import pytest
-from doc_pages import ROOT
+from page_snippet_runner import ROOT
 
 DOCS = ROOT / "docs"
 SITE = DOCS / "_build" / "html"

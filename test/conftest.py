@@ -17,7 +17,7 @@ import retalis.events.language.event_operators  # noqa: F401 -- adds its operato
 from retalis import Definitions
 from retalis.foundation import garbage_collection
 
-pytest_plugins = ["nightly", "process_state_plugin", "random_order"]
+pytest_plugins = ["nightly_test_selection", "process_state_plugin", "random_order"]
 
 FAST_TESTS = "not slow"
 """The expression of ``-m`` that selects the fast tests."""

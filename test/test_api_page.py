@@ -3,7 +3,7 @@
 import re
 
 import pytest
-from doc_pages import ROOT
+from page_snippet_runner import ROOT
 
 import retalis
 

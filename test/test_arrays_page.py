@@ -3,7 +3,7 @@
 from pathlib import Path
 
 import pytest
-from doc_pages import FENCE, PageRun
+from page_snippet_runner import FENCE, PageRun
 
 pytestmark = pytest.mark.docs
 

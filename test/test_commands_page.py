@@ -1,7 +1,7 @@
 """``docs/reference/commands.md``, which docs/commands.py writes from the parsers of the command line."""
 
 import pytest
-from doc_pages import ROOT
+from page_snippet_runner import ROOT
 from script_modules import load_script
 
 from retalis.cli.command_line import COMMANDS

@@ -10,7 +10,7 @@ from xml.etree import ElementTree
 
 import pytest
 from asserting_accessors import stream_clock
-from doc_pages import run_commands
+from page_snippet_runner import run_commands
 from subprocess_python_path import python_path
 
 from retalis import Definitions, Engine, Operators

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from doc_pages import FENCE, ROOT, PageRun
+from page_snippet_runner import FENCE, ROOT, PageRun
 
 from retalis.events.checks.check_runner import CHECKS, LOAD_CODES
 

@@ -4,7 +4,7 @@ import re
 from pathlib import Path
 
 import pytest
-from doc_pages import ROOT, PageRun
+from page_snippet_runner import ROOT, PageRun
 
 pytestmark = [pytest.mark.docs, pytest.mark.slow]
 

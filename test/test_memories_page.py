@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from doc_pages import FENCE, PageRun
+from page_snippet_runner import FENCE, PageRun
 
 from retalis import Engine
 from retalis.prolog.system.prolog_system import PrologSystem

@@ -6,7 +6,7 @@ A test with a master runs the tutorial about a live robot: ``test/ros1/test_live
 from pathlib import Path
 
 import pytest
-from doc_pages import ROOT, PageRun
+from page_snippet_runner import ROOT, PageRun
 
 pytestmark = [pytest.mark.docs, pytest.mark.slow]
 

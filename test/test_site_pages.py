@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 from built_site import COOKBOOK, DOCS, NEEDS_SITE, SITE
-from doc_pages import FENCE, ROOT
+from page_snippet_runner import FENCE, ROOT
 from script_modules import load_script
 
 pytestmark = NEEDS_SITE

@@ -3,7 +3,7 @@
 from typing import Any
 
 import pytest
-from doc_pages import ROOT
+from page_snippet_runner import ROOT
 from script_modules import load_script
 
 pytestmark = pytest.mark.docs

@@ -6,9 +6,9 @@ from xml.etree import ElementTree
 
 import pytest
 from cli.memory_client import MemoryClient
-from live_program import write_program
 from node.in_memory_hosts import start_host
 from node.memory_transport import MemoryNetwork
+from program_with_live_cases import write_program
 
 from retalis.cli import live_cases
 from retalis.cli.command_line import main

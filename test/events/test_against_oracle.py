@@ -13,8 +13,8 @@ from unittest.mock import patch
 import pytest
 from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
+from oracle.combination_evaluator import defined_for, firings
 from oracle.comparison import answer, difference, engine_events, engine_steps, report, shrink
-from oracle.event_combinations import defined_for, firings
 from oracle.patterns import Check, Cnot, Fnot, Sub, walk
 from oracle.rule_notation import stream, write_rule
 from oracle.strategies import cases, drawn_cases

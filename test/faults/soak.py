@@ -42,7 +42,7 @@ sys.path[:0] = [str(HERE), str(HERE.parent / "ros1"), str(ROOT / "bench"), str(R
 import rosgraph  # noqa: E402
 import rospy  # noqa: E402
 from diagnostic_msgs.msg import DiagnosticArray  # noqa: E402
-from dropped_messages import Drops  # noqa: E402
+from dropped_message_counts import Drops  # noqa: E402
 from nao_stream import Stream, reference  # noqa: E402
 from processes import free_port, resident  # noqa: E402
 from soak_evaluation import Restart, verdict  # noqa: E402

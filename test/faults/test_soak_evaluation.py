@@ -5,7 +5,7 @@ from types import SimpleNamespace
 from typing import Any, Tuple
 
 import pytest
-from faults.dropped_messages import Drop, Drops
+from faults.dropped_message_counts import Drop, Drops
 from faults.soak_evaluation import NODES, Restart, verdict
 
 SPEED = 5

@@ -18,7 +18,7 @@ INPUTS = {
     "ros2": 4000,
     "tables": 200,
     "bags": 8000,
-    "names": 10_000,
+    "hostile_names": 10_000,
     "goals": 10_000,
 }
 """Numbers of inputs in long campaigns of kinds with slow inputs."""

@@ -374,7 +374,7 @@ def slots_of(definition: Any) -> List[Tuple[Any, ...]]:
 
 def test_slots_agree_with_rosbags() -> None:
     pytest.importorskip("rosbags")
-    from messages.reference_codecs import rosbags_types  # noqa: PLC0415
+    from messages.codec_comparison import rosbags_types  # noqa: PLC0415
 
     types = 0
     for _, _, definition in rosbags_types():

@@ -16,7 +16,7 @@ from retalis import Engine, RetalisError, StreamClock, Term, atom, functor
 from retalis.events.matches import interval_index, match_buffer
 from retalis.prolog.terms.timestamps import SECOND
 
-from . import revision
+from . import retraction
 from .goals import show
 from .patterns import NO_PROPERTIES, Pattern, Rule
 from .strategies import Case, random_case
@@ -104,7 +104,7 @@ def in_steps(steps: Iterable[Any]) -> List[Fired]:
 
 def revised_answer(case: Case) -> List[Fired]:
     """Return the events that the oracle derives at each step of a stream with retractions."""
-    steps = revision.run_with_revision(case.rules, case.stream, case.policy, case.out_of_order)
+    steps = retraction.run_with_retraction(case.rules, case.stream, case.policy, case.out_of_order)
     return in_steps(
         [(term, start * SECOND, end * SECOND) for term, start, end in step.elements()] for step in steps
     )
@@ -126,7 +126,7 @@ def is_defined(case: Case) -> bool:
     """Return whether the oracle defines the results of a case."""
     if case.has_streams() and may_set_clock_back(case):
         return False
-    return not case.revises() or revision.defined_for(case.rules, case.policy, case.out_of_order)
+    return not case.revises() or retraction.defined_for(case.rules, case.policy, case.out_of_order)
 
 
 def difference(case: Case, used: Optional[ReusableEngine] = None) -> Optional[Tuple[Any, Any]]:

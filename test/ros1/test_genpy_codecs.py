@@ -6,10 +6,10 @@ import pytest
 
 pytest.importorskip("genpy", reason="ROS is not installed")
 
-from messages.reference_codecs import compare_messages, genpy_references  # noqa: E402
+from messages.codec_comparison import compare_messages, genpy_references  # noqa: E402
 
 MESSAGES = 10
-"""Messages of each type; ``python3 -m messages.reference_codecs genpy`` tries any number, and more types."""
+"""Messages of each type; ``python3 -m messages.codec_comparison genpy`` tries any number, and more types."""
 
 
 def test_installed_types_are_encoded_as_by_genpy() -> None:

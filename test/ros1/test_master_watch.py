@@ -7,7 +7,7 @@ from xmlrpc.client import ServerProxy
 
 import pytest
 
-PROBE = Path(__file__).with_name("message_probe.py")
+PROBE = Path(__file__).with_name("round_trip_probe.py")
 CONFIGURATIONS = {
     "text": ("_direct:=false",),
     "direct": ("_direct:=[in, std_msgs/String]",),

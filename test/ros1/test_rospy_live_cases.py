@@ -4,7 +4,7 @@ import subprocess
 from pathlib import Path
 from typing import Any
 
-from live_program import CASES, write_program
+from program_with_live_cases import CASES, write_program
 
 
 def test_cases_run_on_node(devel: Any, tmp_path: Path) -> None:

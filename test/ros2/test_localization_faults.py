@@ -17,7 +17,7 @@ from examples.test_localization_faults import ERROR, FAULTS, PROGRAM
 from rclpy.serialization import deserialize_message
 from ros2.node_processes import NodeProcess
 from ros2.rclpy_nodes import Network
-from ros2.simulated_time import SECOND, SimulatedTimeNode
+from ros2.simulated_time_node import SECOND, SimulatedTimeNode
 from script_modules import load_script
 
 script = load_script(PROGRAM / "make_recordings.py", "localization_recordings")

@@ -8,7 +8,7 @@ import pytest
 pytest.importorskip("rclpy", reason="rclpy is not installed")
 pytest.importorskip("retalis.srv", reason="the classes of this package's services have not been generated")
 
-from live_program import CASES, write_program
+from program_with_live_cases import CASES, write_program
 from ros2.rclpy_nodes import Network, wait_until
 
 from retalis.cli.command_line import main

@@ -11,7 +11,7 @@ pytest.importorskip("retalis.srv", reason="the classes of this package's service
 
 from ros2.node_processes import NodeProcess
 from ros2.rclpy_nodes import Network, wait_until
-from ros2.simulated_time import SimulatedTimeNode
+from ros2.simulated_time_node import SimulatedTimeNode
 from scenarios.scenario_runs import HERE, SCENARIOS, MessageCodec, Scenario, play_live, read_scenario
 
 from retalis.engine.checkpoints import read_checkpoint

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any, Dict, List
 
 import pytest
-from doc_pages import FENCE, ROOT, PageRun
+from page_snippet_runner import FENCE, ROOT, PageRun
 
 from retalis.visualization.timeline import read_run, timeline_page
 

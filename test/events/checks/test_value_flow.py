@@ -6,7 +6,7 @@ from typing import Any, List
 
 import pytest
 from asserting_accessors import required, stream_clock
-from doc_pages import ROOT
+from page_snippet_runner import ROOT
 
 from retalis import Definitions, Engine
 from retalis.engine.program_check import check_program

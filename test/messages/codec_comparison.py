@@ -4,8 +4,8 @@ For each message of each type: the decoded term denotes the values that the refe
 that are encoded from it, before and after its lazy terms are read, and from the terms of the reference's values are
 those that the reference serializes.
 
-    PYTHONPATH=src:test python3 -m messages.reference_codecs --messages 1000 rosbags
-    PYTHONPATH=src:test python3 -m messages.reference_codecs --messages 1000 genpy  (in a shell that has sourced ROS)
+    PYTHONPATH=src:test python3 -m messages.codec_comparison --messages 1000 rosbags
+    PYTHONPATH=src:test python3 -m messages.codec_comparison --messages 1000 genpy  (in a shell that has sourced ROS)
 
 The types of genpy are those of the installed packages, and those of all stores of rosbags, from whose texts genpy
 generates classes. Three known differences are excluded: genpy replaces bytes that are no UTF-8 in a string; it

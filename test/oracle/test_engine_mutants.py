@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from .disabled_mechanisms import MECHANISMS, count_detections
+from .engine_mutants import MECHANISMS, count_detections
 
 
 @pytest.mark.slow

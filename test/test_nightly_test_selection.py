@@ -32,7 +32,16 @@ def run(tmp_path: Path) -> Any:
         (tmp_path / f"test_{name}.py").write_text(MODULE)
 
     def run(*arguments: Any) -> List[Any]:
-        options = ["-p", "nightly", "-p", "no:cacheprovider", "-p", "no:xdist", "-v", *arguments]
+        options = [
+            "-p",
+            "nightly_test_selection",
+            "-p",
+            "no:cacheprovider",
+            "-p",
+            "no:xdist",
+            "-v",
+            *arguments,
+        ]
         process = subprocess.run(
             [sys.executable, "-m", "pytest", *options],
             cwd=tmp_path,

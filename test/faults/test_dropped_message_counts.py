@@ -3,7 +3,7 @@
 from typing import Any, Tuple
 
 import pytest
-from faults.dropped_messages import Drop, Drops
+from faults.dropped_message_counts import Drop, Drops
 
 
 def topic(name: str, dropped: int = 0, refused: int = 0) -> Tuple[Any, ...]:

@@ -7,12 +7,12 @@ from queue import SimpleQueue
 from typing import Any, Dict, List, Optional, Tuple
 
 import pytest
-from doc_pages import FENCE, ROOT
 from malicious_bags import TABLES
 from messages.action_messages import DOCK, ROS1, ROS2, DockServer, Message, goal_text, uuid
 from messages.ros2_types import find_text
 from node.in_memory_hosts import DEFINITIONS, decode, start_host
 from node.memory_transport import MemoryNetwork, MemoryTransport
+from page_snippet_runner import FENCE, ROOT
 
 from retalis import BagWriter, Definitions, MessageError, Playback
 from retalis.messages.action_events import ACTION_EVENTS

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, Dict, List, Tuple
 
 import pytest
-from doc_pages import FENCE, ROOT
+from page_snippet_runner import FENCE, ROOT
 from ruamel.yaml import YAML
 from subprocess_python_path import python_path
 

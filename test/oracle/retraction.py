@@ -1,4 +1,4 @@
-"""Revision: ``rev(E)`` retracts every occurrence of E, and all events that were derived from it.
+"""Retraction: ``rev(E)`` retracts every occurrence of E, and all events that were derived from it.
 
 There are two methods:
 
@@ -20,9 +20,9 @@ from events.operator_table import EITHER_ORDER
 from retalis import Term, functor
 from retalis.prolog.terms.term_traversal import copy
 
+from .combination_evaluator import Combinations, TimedMatch, has_outer_absence
+from .combination_evaluator import defined_for as defined_without_state
 from .evaluator import NOTHING, Fit, RuleState, Sides
-from .event_combinations import Combinations, TimedMatch, has_outer_absence
-from .event_combinations import defined_for as defined_without_state
 from .goals import first, instance, show
 from .matches import Event, Match, Run
 from .patterns import (
@@ -93,7 +93,7 @@ def combines(rules: Sequence[Rule]) -> bool:
     )
 
 
-def run_with_revision(rules: Sequence[Rule], stream: Stream, policy: str, out_of_order: bool) -> List[Step]:
+def run_with_retraction(rules: Sequence[Rule], stream: Stream, policy: str, out_of_order: bool) -> List[Step]:
     """Return the dispatched events at each event of the stream, which is included, as multisets."""
     if len(rules) == 1 and rules[0].policy_by(policy) == "unrestricted" and combines(rules):
         return Recombined(rules[0], out_of_order).run(stream)

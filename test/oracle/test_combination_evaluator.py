@@ -6,8 +6,8 @@ from typing import Any, List
 
 import pytest
 from hypothesis import HealthCheck, assume, given, reject, settings
+from oracle.combination_evaluator import defined_for, firings
 from oracle.evaluator import Program
-from oracle.event_combinations import defined_for, firings
 from oracle.goals import show
 from oracle.strategies import cases
 

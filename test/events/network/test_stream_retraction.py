@@ -1,4 +1,4 @@
-"""Revision of stream operators: after a retraction, results equal those without the event."""
+"""Retraction in stream operators: after a retraction, results equal those without the event."""
 
 import random
 from collections import Counter

@@ -3,8 +3,8 @@
 For each message of each type: the reference deserializes the bytes that are encoded from a term to the values of the
 term, and the same term is decoded from them, and from the bytes that the reference serializes.
 
-    PYTHONPATH=src:test python3 -m messages.cdr_reference_codecs --messages 1000 rosbags
-    PYTHONPATH=src:test python3 -m messages.cdr_reference_codecs --messages 1000 rclpy  (with Python of ROS 2)
+    PYTHONPATH=src:test python3 -m messages.cdr_codec_comparison --messages 1000 rosbags
+    PYTHONPATH=src:test python3 -m messages.cdr_codec_comparison --messages 1000 rclpy  (with Python of ROS 2)
 
 The types of rclpy are those of the ament index, except those with bounded arrays (`BOUNDED_TYPES`): definitions in
 the form of ROS 1 have no bounds, and rclpy refuses longer arrays. Two known differences are excluded: rclpy ends a
@@ -21,7 +21,7 @@ from typing import Any, Callable, Iterator, List, NamedTuple, Optional
 
 from asserting_accessors import compound
 
-from messages.reference_codecs import RandomMessages, check_same, term_of
+from messages.codec_comparison import RandomMessages, check_same, term_of
 from messages.reference_wire_format import serialize
 from retalis import Definition
 from retalis.messages.cdr_decoder import CdrDecoder

@@ -1,11 +1,11 @@
-"""Revision in the oracle: results computed by hand, and comparison of its two evaluations."""
+"""Retraction in the oracle: results computed by hand, and comparison of its two evaluations."""
 
 from typing import Any
 
 import pytest
 from hypothesis import HealthCheck, assume, given, settings
 from oracle.patterns import Both, Ntimes, walk
-from oracle.revision import combines, run_with_revision
+from oracle.retraction import combines, run_with_retraction
 from oracle.rule_notation import rule, stream
 from oracle.strategies import cases
 
@@ -46,7 +46,7 @@ CASES = [
 def test_revision_has_computed_results(
     head: str, pattern: str, events: str, expected: Any, policy: str
 ) -> None:
-    steps = run_with_revision([rule(head, pattern)], stream(events), policy, False)
+    steps = run_with_retraction([rule(head, pattern)], stream(events), policy, False)
     assert len(steps) == len(expected)
     for step, expected_events in zip(steps, expected):
         derived = sorted(
@@ -62,7 +62,7 @@ def test_revision_has_computed_results(
 
 def test_event_completes_one_side_only() -> None:
     events = stream("a(1)@1 d@2 a(2)@3 rev(d)@4")
-    steps = run_with_revision([rule("out", "and(fnot(a(X),d),a(Y))")], events, "recent", False)
+    steps = run_with_retraction([rule("out", "and(fnot(a(X),d),a(Y))")], events, "recent", False)
     assert [sum(n for event, n in step.items() if event[0] == "out") for step in steps] == [0, 0, 1, 0]
 
 
@@ -73,7 +73,7 @@ def test_policies_agree_without_partners(case: Any) -> None:
     assume(combines(case.rules))
     assume(not any(isinstance(node, (Both, Ntimes)) for node in walk(case.rules[0].pattern)))
     steps = [
-        run_with_revision(case.rules, case.stream, policy, case.out_of_order)
+        run_with_retraction(case.rules, case.stream, policy, case.out_of_order)
         for policy in ("unrestricted", "recent")
     ]
     assert steps[0] == steps[1]

@@ -4,11 +4,11 @@ import pytest
 
 pytest.importorskip("rosbags")
 
-from messages import cdr_reference_codecs  # noqa: E402
-from messages.reference_codecs import compare_messages, rosbags_references  # noqa: E402
+from messages import cdr_codec_comparison  # noqa: E402
+from messages.codec_comparison import compare_messages, rosbags_references  # noqa: E402
 
 MESSAGES_PER_TYPE = 10
-"""Messages of each type; ``python3 -m messages.reference_codecs`` compares any number."""
+"""Messages of each type; ``python3 -m messages.codec_comparison`` compares any number."""
 
 FAST_TYPES = {
     "std_msgs/Header",
@@ -45,7 +45,7 @@ def test_all_types_agree_with_rosbags() -> None:
 @pytest.mark.slow
 def test_all_types_of_ros2_agree_with_rosbags() -> None:
     types = 0
-    for reference in cdr_reference_codecs.rosbags_references():
-        cdr_reference_codecs.compare_messages(reference, MESSAGES_PER_TYPE)
+    for reference in cdr_codec_comparison.rosbags_references():
+        cdr_codec_comparison.compare_messages(reference, MESSAGES_PER_TYPE)
         types += 1
     assert types > 150

@@ -1,5 +1,5 @@
 # ruff: noqa: SLF001 - the disabled mechanisms are private parts of the engine
-"""Engines with one disabled mechanism, whose results have to differ in some cases: otherwise no case tests it.
+"""Mutants of the engine with one disabled mechanism. Their results have to differ in some cases, or no case tests it.
 
 Operators on streams are compared with the oracle, states and replay with their own definitions, and timers with a
 plain list. As a command: see README.md.
@@ -17,8 +17,8 @@ from typing import Any, Callable, ContextManager, Dict, Iterator, List, NamedTup
 from unittest.mock import patch
 
 from events.knowledge.test_event_states import ALARM, ExpectedStates, load_engine
-from events.network.test_stream_revision import RULES, random_events, remaining_outputs
-from events.streams.test_row_pattern import (
+from events.network.test_stream_retraction import RULES, random_events, remaining_outputs
+from events.streams.test_row_pattern_against_oracle import (
     VALUE,
     expected_outputs,
     expected_timeouts,
