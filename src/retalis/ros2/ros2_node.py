@@ -16,13 +16,16 @@ from rcl_interfaces.msg import SetParametersResult
 from rcl_interfaces.srv import SetParameters, SetParametersAtomically
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.signals import SignalHandlerOptions
 
 from ..engine.runtime.problem_reports import Reports
+from ..foundation.displayed_text import printable
 from ..foundation.errors import RetalisError, UsageError
 from ..foundation.garbage_collection import limit_gc_pauses
 from ..foundation.interrupts import check_interrupt
+from ..node.goal_output import log_counts
 from ..node.host_context import HostContext
 from ..node.node_process import run_node_process, wait_while
 from ..node.parameters import (
@@ -34,9 +37,9 @@ from ..node.parameters import (
 )
 from ..node.plain_text_exchange import PlainTextExchange
 from ..node.program_host import ProgramHost
+from ..prolog.builtins.listing_and_messages import goal_log
 from .installed_interfaces import ament_prefixes
 from .node_executor import NodeExecutor
-from .rclpy_log import forward_log
 from .rclpy_transport import (
     AUTOSTART,
     NODE_PARAMETERS,
@@ -365,3 +368,42 @@ def _run_until_shutdown(arguments: Optional[List[str]], shutdown: ExitStack) -> 
         return 1
     wait_while(lambda: node.context.ok() and not node.is_finalized)
     return 0
+
+
+class _NodeHandler(logging.Handler):
+    def __init__(self, node: Node):
+        super().__init__()
+        self._log = node.get_logger()
+
+    def emit(self, record: logging.LogRecord) -> None:
+        try:
+            self._forward(record)
+        except Exception:
+            self.handleError(record)
+
+    def _forward(self, record: logging.LogRecord) -> None:
+        # Records contain text from outside, which must not look like another record.
+        text = printable(self.format(record)).replace("\n", "\n    ")
+        # rclpy requires that a place in the code always logs with one severity.
+        if record.levelno >= logging.CRITICAL:
+            self._log.fatal(text)
+        elif record.levelno >= logging.ERROR:
+            self._log.error(text)
+        elif record.levelno >= logging.WARNING:
+            self._log.warning(text)
+        elif record.levelno >= logging.INFO:
+            self._log.info(text)
+        else:
+            self._log.debug(text)
+
+
+def forward_log(logger: logging.Logger, node: Node) -> None:
+    """Forward the records of a logger to the log of a node, and count them in `log_counts`."""
+    for handler in list(logger.handlers):
+        logger.removeHandler(handler)
+    logger.addHandler(log_counts)
+    logger.addHandler(_NodeHandler(node))
+    logger.setLevel(logging.INFO)
+    logger.propagate = False
+    # Rules may log for debugging: the node drops these records unless its level is lower.
+    goal_log.setLevel(logging.DEBUG)
