@@ -11,8 +11,7 @@ from recording_reports import RecordingReports
 
 from retalis import Reports
 from retalis.node.transport import MessageSource
-from retalis.ros2.node_executor import NodeExecutor
-from retalis.ros2.rclpy_transport import RclpyTransport
+from retalis.ros2.rclpy_transport import NodeExecutor, RclpyTransport
 
 TIMEOUT_SECONDS = 60.0
 """Seconds after which a wait fails; only a busy machine needs most of them."""

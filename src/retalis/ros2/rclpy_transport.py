@@ -9,7 +9,7 @@ from typing import Any, Callable, Dict, List, Mapping, Optional, Set, Tuple
 from rcl_interfaces.msg import ParameterDescriptor
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.exceptions import InvalidHandle, InvalidServiceNameException, InvalidTopicNameException
-from rclpy.executors import Executor, SingleThreadedExecutor
+from rclpy.executors import Executor, ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.task import Future
 
@@ -28,7 +28,6 @@ from ..node.service_caller import CallThreads
 from ..node.transport import Connect, GraphChange, Mismatch, NodeGraph
 from .installed_interfaces import InstalledInterfaces
 from .message_intake import MessageIntake
-from .node_executor import MAX_WAIT_SECONDS
 from .parameter_and_lifecycle_watch import ParameterAndLifecycleWatch
 from .quality_of_service import choose_published_quality, find_mismatches, full_node_name, join_node_name
 from .rclpy_service_call import RclpyServiceCalls
@@ -55,6 +54,9 @@ AUTOSTART = "autostart"
 
 NODE_PARAMETERS = (AUTOSTART, "use_sim_time", "start_type_description_service", "qos_overrides")
 """Parameters of the node itself, and of rclpy; all are read at the start."""
+
+MAX_WAIT_SECONDS = 1.0
+"""Longest wait for each thread when the node ends."""
 
 
 class RclpyTransport:
@@ -372,6 +374,44 @@ class RclpyTransport:
             watch.stop()
         for service in self._services:
             self._node.destroy_service(service)
+
+
+class NodeExecutor:
+    """A thread that runs the callbacks of a node: events, parameters, services and states of the life cycle.
+
+    Args:
+        node: the node.
+        on_error: receives exceptions of callbacks.
+
+    Attributes:
+        executor: the executor.
+    """
+
+    def __init__(self, node: Node, on_error: Callable[[Exception], object]):
+        self.executor = SingleThreadedExecutor(context=node.context)
+        self.executor.add_node(node)
+        self._context = node.context
+        self._on_error = on_error
+        self._is_stopped = False
+        self._thread = threading.Thread(target=self._run, daemon=True, name="executor")
+        self._thread.start()
+
+    def stop(self) -> None:
+        """Run no more callbacks."""
+        self._is_stopped = True
+        self.executor.shutdown(timeout_sec=MAX_WAIT_SECONDS)
+        self._thread.join(timeout=MAX_WAIT_SECONDS)
+
+    def _run(self) -> None:
+        while not self._is_stopped and self._context.ok():
+            try:
+                self.executor.spin()
+            except ExternalShutdownException:
+                return
+            except Exception as error:
+                # The failure of one callback must not end the others.
+                if not self._is_stopped:
+                    self._on_error(error)
 
 
 class RequestThreads:

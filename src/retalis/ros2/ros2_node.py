@@ -39,10 +39,10 @@ from ..node.plain_text_exchange import PlainTextExchange
 from ..node.program_host import ProgramHost
 from ..prolog.builtins.listing_and_messages import goal_log
 from .installed_interfaces import ament_prefixes
-from .node_executor import NodeExecutor
 from .rclpy_transport import (
     AUTOSTART,
     NODE_PARAMETERS,
+    NodeExecutor,
     RclpyTransport,
     RequestThreads,
     declare_parameters,
