@@ -6,7 +6,7 @@ pytest.importorskip("rclpy", reason="rclpy is not installed")
 
 from builtin_interfaces.msg import Time
 
-from retalis.ros2.service_messages import fill_message
+from retalis.ros2.installed_interfaces import fill_message
 
 
 @pytest.mark.parametrize(

@@ -25,9 +25,8 @@ from ..foundation.interrupts import interruptible
 from ..messages.type_definition import Definition, SerializationFormat
 from ..messages.type_registry import InstalledTypes
 from ..node.text_exchange import TEXT_TYPE
-from .installed_interfaces import InstalledInterfaces
+from .installed_interfaces import InstalledInterfaces, fill_message, read_fields
 from .quality_of_service import choose_published_quality, choose_quality, join_node_name, read_offers
-from .service_messages import fill_message, read_fields
 
 if TYPE_CHECKING:
     from rclpy.client import Client

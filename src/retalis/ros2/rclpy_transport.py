@@ -26,13 +26,12 @@ from ..messages.type_registry import Definitions, InstalledTypes
 from ..node.parameters import FIXED_PARAMETERS, PARAMETER_DESCRIPTIONS
 from ..node.service_caller import CallThreads
 from ..node.transport import Connect, GraphChange, Mismatch, NodeGraph
-from .installed_interfaces import InstalledInterfaces
+from .installed_interfaces import InstalledInterfaces, fill_message, read_fields
 from .message_intake import MessageIntake
 from .parameter_and_lifecycle_watch import ParameterAndLifecycleWatch
 from .quality_of_service import choose_published_quality, find_mismatches, full_node_name, join_node_name
 from .rclpy_service_call import RclpyServiceCalls
 from .ros_clock import CLOCK_TOPIC, CLOCK_TYPE, RosClock, replace_clock_subscription
-from .service_messages import fill_message, read_fields
 from .timer_thread import TransportTimers
 from .topic_publication import OwnMessages, RclpyPublication
 from .topic_subscription import RclpySubscription, TopicOptions
