@@ -8,7 +8,7 @@ rospy = pytest.importorskip("rospy", reason="ROS is not installed")
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue  # noqa: E402
 
-from retalis.ros1.genpy_service_messages import fill_message, read_fields  # noqa: E402
+from retalis.ros1.installed_message_classes import fill_message, read_fields  # noqa: E402
 
 
 def test_times_are_read_in_nanoseconds() -> None:

@@ -1,4 +1,4 @@
-"""Inspection of the message classes that genpy has generated.
+"""Message classes that genpy has generated: their definitions, and the fields of their messages.
 
 rospy publishes and subscribes with these classes. Their attributes, not the text of their modules, are therefore the
 definition of an installed type in a node and in commands on a machine with ROS. The first type of a package imports
@@ -7,8 +7,10 @@ all classes of the package.
 
 import sys
 from importlib import import_module
-from typing import Any, Optional
+from types import SimpleNamespace
+from typing import Any, Mapping, Optional
 
+import genpy
 from roslib.message import get_message_class, get_service_class
 
 from ..foundation.displayed_text import quote_shortened
@@ -73,3 +75,40 @@ def _import_error(name: str, reason: Exception) -> MessageError:
         f"{quote_shortened(str(reason))}: "
         "build its package, with all packages that it depends on, for this Python"
     )
+
+
+def read_fields(message: Any) -> SimpleNamespace:
+    """Return the fields of a message, with times and durations in nanoseconds; nested messages in the same form."""
+    return SimpleNamespace(**{field: _read_value(getattr(message, field)) for field in message.__slots__})
+
+
+def _read_value(value: Any) -> Any:
+    if isinstance(value, genpy.TVal):
+        return value.to_nsec()
+    if isinstance(value, genpy.Message):
+        return read_fields(value)
+    if isinstance(value, (list, tuple)):
+        return [_read_value(item) for item in value]
+    return value
+
+
+def fill_message(message: Any, values: Mapping[str, Any]) -> Any:
+    """Assign values to the fields of a message, and return it.
+
+    Args:
+        message: the message.
+        values: values by field. Nested messages are dictionaries; times and durations are integers in nanoseconds.
+    """
+    types = dict(zip(message.__slots__, message._slot_types))
+    for field, value in values.items():
+        default = getattr(message, field)
+        if isinstance(default, genpy.TVal):
+            setattr(message, field, type(default)(0, value))
+        elif isinstance(value, Mapping):
+            fill_message(default, value)
+        elif value.__class__ is list and value and isinstance(value[0], Mapping):
+            element_class = get_message_class(types[field].partition("[")[0])
+            setattr(message, field, [fill_message(element_class(), element) for element in value])
+        else:
+            setattr(message, field, value)
+    return message

@@ -19,8 +19,7 @@ from ..foundation.interrupts import interruptible
 from ..messages.type_definition import Definition, SerializationFormat
 from ..messages.type_registry import InstalledTypes
 from .connection_writer import serialized_class
-from .genpy_service_messages import fill_message, read_fields
-from .installed_message_classes import inspect_class
+from .installed_message_classes import fill_message, inspect_class, read_fields
 from .internode_control_topics import INPUT_CHANGES_TOPIC
 from .master_watch import MasterWatch
 from .topic_names import MASTER_ERRORS

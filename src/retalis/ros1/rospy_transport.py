@@ -24,8 +24,7 @@ from ..node.service_caller import CallThreads
 from ..node.transport import Connect, GraphChange, MessageReceiver, MessageSource, NodeGraph
 from .batched_socket_reader import read_in_batches, refuse_own_connection
 from .connection_writer import TopicWriter, serialized_bytes, serialized_class
-from .genpy_service_messages import fill_message, read_fields
-from .installed_message_classes import installed_types
+from .installed_message_classes import fill_message, installed_types, read_fields
 from .publisher_startup_queue import StartupQueue, SubscriberWait
 from .rospy_service_call import call_service
 from .tf2_buffer import choose_buffer
