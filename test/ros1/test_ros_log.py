@@ -10,7 +10,7 @@ pytest.importorskip("rospy", reason="ROS is not installed")
 
 from rosgraph.roslogging import RosStreamHandler  # noqa: E402
 
-from retalis.ros1.ros_log import escape_record  # noqa: E402
+from retalis.ros1.node_lifecycle import escape_record  # noqa: E402
 
 FORGED = "[ERROR] [1700000000.000000]: the robot is on fire"
 
