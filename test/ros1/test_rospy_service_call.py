@@ -94,7 +94,7 @@ def test_rules_call_services_and_read_parameters(devel: Any, tmp_path: Path) -> 
 def call_with_master(monkeypatch: pytest.MonkeyPatch, look_up: Callable[[ServiceCall], str]) -> List[str]:
     """Call a service with a function in place of the master's; return the texts of the events."""
     rosgraph = pytest.importorskip("rosgraph", reason="ROS is not installed")
-    from retalis.ros1.rospy_service_call import call_service  # noqa: PLC0415
+    from retalis.ros1.rospy_transport import call_service  # noqa: PLC0415
 
     engine, events = Engine(Clock()), []
     calls: List[ServiceCall] = []

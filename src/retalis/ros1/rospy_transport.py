@@ -3,13 +3,16 @@
 import time
 from pathlib import Path
 from struct import Struct
-from typing import TYPE_CHECKING, Any, Callable, Dict, List, Mapping, NamedTuple, Optional, Tuple
+from typing import TYPE_CHECKING, Any, Callable, Dict, List, Mapping, NamedTuple, Optional, Tuple, Type
 
 import rosgraph
 import rospkg
 import rospy
 from rosgraph_msgs.msg import Clock as ClockMessage
+from rospy.exceptions import TransportException
 from rospy.impl.paramserver import get_param_server_cache
+from rospy.impl.tcpros_base import TCPROSTransport
+from rospy.impl.tcpros_service import TCPROSServiceClient
 from rospy.rostime import is_wallclock
 
 from ..engine.runtime.problem_reports import Reports
@@ -18,7 +21,7 @@ from ..events.program.topic_configuration import ANY_QUALITY, QualityOfService
 from ..foundation.bounded_caches import Cache
 from ..foundation.displayed_text import shorten
 from ..foundation.errors import RetalisError, UsageError
-from ..messages.type_definition import Definition, SerializationFormat
+from ..messages.type_definition import Definition, SerializationFormat, service_checksum
 from ..messages.type_registry import InstalledTypes
 from ..node.service_caller import CallThreads
 from ..node.transport import Connect, GraphChange, MessageReceiver, MessageSource, NodeGraph
@@ -26,7 +29,6 @@ from .batched_socket_reader import read_in_batches, refuse_own_connection
 from .connection_writer import TopicWriter, serialized_bytes, serialized_class
 from .installed_message_classes import fill_message, installed_types, read_fields
 from .publisher_startup_queue import StartupQueue, SubscriberWait
-from .rospy_service_call import call_service
 from .tf2_buffer import choose_buffer
 from .topic_names import MASTER_ERRORS, resolve
 
@@ -41,6 +43,12 @@ MAX_CACHED_CONNECTIONS = 1000
 
 _LENGTH = Struct("<I")
 """Length of a message, which precedes it on a connection."""
+
+_SOCKET_MARGIN_SECONDS = 1.0
+"""Seconds by which the timeout of the socket exceeds the limit of a call of a service, which reports it."""
+
+_NO_PROVIDER = "no provider"
+"""Error of the master for a service that no node offers."""
 
 _began = time.monotonic()
 
@@ -177,6 +185,70 @@ class RospyPublication:
     def send(self, message: bytes) -> None:
         """See `TopicPublication`."""
         self._startup_queue.send(_LENGTH.pack(len(message)) + message)
+
+
+def call_service(name: str, call: ServiceCall) -> None:
+    """Call a service and wait for its response, or for the end of the call; see `Transport.call_service`.
+
+    `rospy.ServiceProxy` waits for the response without a limit. Here the connection is closed when the call ends
+    otherwise, which ends the wait. Each call has a thread, because it waits for the master, the server and the
+    response.
+    """
+    try:
+        uri = rosgraph.Master(rospy.get_name()).lookupService(name)
+        address, port = rospy.core.parse_rosrpc_uri(uri)
+    except rosgraph.MasterError as error:
+        if _NO_PROVIDER in str(error):
+            call.fail("no node offers it")
+        else:
+            call.fail(f"the master reports an error: {shorten(str(error))}")
+        return
+    except (*MASTER_ERRORS, rospy.exceptions.ROSException) as error:
+        call.fail(f"the master does not answer: {shorten(str(error))}")
+        return
+    # The master may have answered after the time limit: the program no longer expects the service to act.
+    if call.is_ended:
+        return
+    connection = TCPROSTransport(TCPROSServiceClient(name, _make_service_class(call)), name)
+    call.on_end(connection.close)
+    try:
+        connection.connect(address, port, uri, call.request.seconds + _SOCKET_MARGIN_SECONDS)
+        request = serialized_class(call.request.request)()
+        request._buff = call.request.data
+        if call.is_ended:
+            # `on_end` may have closed it before it was open.
+            connection.close()
+            return
+        connection.send_message(request, 1)
+        call.reply(connection.receive_once()[0]._buff)
+    except rospy.ServiceException as error:
+        _, _, text = str(error).partition("responded with an error: ")
+        call.fail(f"its node reports an error: {shorten(_decode(text or str(error)))}")
+    except TransportException as error:
+        if "md5sum" in str(error):
+            call.fail(f"it has another type than {call.request.type}")
+        else:
+            call.fail(f"the connection to its node ends: {shorten(str(error))}")
+    except (OSError, AttributeError) as error:
+        # `close` of a call that has ended sets the attributes of the connection to None.
+        call.fail(f"the connection to its node ends: {shorten(str(error))}")
+
+
+def _decode(text: str) -> str:
+    """Return the text of an error, which rospy shows as bytes."""
+    return text[2:-1] if text[:2] in ("b'", 'b"') else text
+
+
+def _make_service_class(call: ServiceCall) -> Type[object]:
+    """Return a class with which rospy passes serialized requests and responses of a service."""
+    request_class, response_class = map(serialized_class, (call.request.request, call.request.response))
+    members = {
+        "_type": call.request.type,
+        "_md5sum": service_checksum(call.request.request, call.request.response),
+        "_request_class": request_class,
+        "_response_class": response_class,
+    }
+    return type("SerializedService", (), members)
 
 
 class RospyTransport:
