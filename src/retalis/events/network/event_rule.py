@@ -61,7 +61,15 @@ from ...serialization.state_fields import (
 from ..dispatch.listeners import Listener, ListenerPhase
 from ..dispatch.matcher_compiler import compile_builder
 from ..fused.fused_single_event import Continuation, compile_firing_action
-from ..language.pattern_tree import Pattern, RuleDefinition, WindowPattern
+from ..language.pattern_tree import (
+    ConditionPattern,
+    OrPattern,
+    Pattern,
+    RepeatedPattern,
+    RuleDefinition,
+    WindowPattern,
+    walk,
+)
 from ..language.rule_heads import resolve_alarm
 from ..language.rule_labels import rule_name, rule_title
 from ..matches.expiration import ExpirationQueue, smaller_bound
@@ -72,9 +80,9 @@ from ..matches.network_options import NetworkOptions, check_policy
 from ..streams.stream_operators import MATCH_KINDS
 from ..streams.windows import OpenWindow, Window
 from .after_match_skip import AfterMatchSkip, select_skip_state
+from .goal_evaluation import ExtendValues
 from .pattern_nodes import EventNode
 from .rule_compiler import RuleCompiler
-from .rule_use_counts import RuleUseCounts
 from .stream_node import StreamNode
 
 if TYPE_CHECKING:
@@ -103,6 +111,62 @@ class RuleMetrics(StateOwner):
     def __init__(self) -> None:
         self.firing_count = self.error_count = 0
         self.last_end: Optional[int] = None
+
+
+class RuleUseCounts:
+    """Outcomes of the conditions of a rule, and matches of the branches of its ``or`` patterns.
+
+    They serve the coverage of a program by tests. Only rules of an engine with `Settings.counts_uses` have them. The
+    compiler of the rule then wraps the tests of conditions and the actions of branches in functions that count, so
+    that other rules have no cost. The nodes of a pattern are identified by their objects. A repetition that is
+    written out as a sequence consists of copies of its pattern, whose counts are those of the pattern
+    (`add_repetitions`).
+
+    Args:
+        pattern: the pattern of the rule.
+
+    Attributes:
+        outcomes: for each condition from left to right, how often it was false and true.
+        branch_matches: for each ``or`` from left to right, the number of matches of each branch.
+    """
+
+    def __init__(self, pattern: Pattern):
+        nodes = walk(pattern, negated=True)
+        conditions = [node for node in nodes if isinstance(node, ConditionPattern)]
+        alternatives = [node for node in nodes if isinstance(node, OrPattern)]
+        self.outcomes = [(node, [0, 0]) for node in conditions]
+        self.branch_matches = [(node, [0] * len(node.branches)) for node in alternatives]
+        self._counts: Dict[int, List[int]] = {
+            id(node): counts for node, counts in (*self.outcomes, *self.branch_matches)
+        }
+        # An id is unique only while its object exists.
+        self._copies: List[Pattern] = []
+
+    def add_repetitions(self, repeated: RepeatedPattern, sequence: Pattern) -> None:
+        """Count the parts of a sequence as those of the repeated pattern that was written out."""
+        originals = walk(repeated.pattern, negated=True)
+        # The pairs of the sequence precede its repetitions.
+        copies = walk(sequence, negated=True)[repeated.times - 1 :]
+        for position, copy in enumerate(copies):
+            counts = self._counts.get(id(originals[position % len(originals)]))
+            if counts is not None:
+                self._counts[id(copy)] = counts
+        self._copies.append(sequence)
+
+    def count_outcomes(self, condition: ConditionPattern, extend_values: ExtendValues) -> ExtendValues:
+        """Return the test of a condition, extended by the counting of its outcomes."""
+        counts = self._counts[id(condition)]
+
+        def extend_and_count(values: Values) -> Optional[Values]:
+            result = extend_values(values)
+            counts[result is not None] += 1
+            return result
+
+        return extend_and_count
+
+    def branch_counts(self, alternatives: OrPattern) -> List[int]:
+        """Return the numbers of matches of the branches, which the node of the ``or`` increments."""
+        return self._counts[id(alternatives)]
 
 
 class Arrivals(NamedTuple):

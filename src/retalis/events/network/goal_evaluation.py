@@ -42,7 +42,9 @@ from ..streams.aggregates import (
 if TYPE_CHECKING:
     from ..matches.watermarks import PatternWatermark
     from .event_rule import EventRule
-    from .rule_use_counts import ExtendValues
+
+ExtendValues = Callable[[Values], Optional[Values]]
+"""Returns the values of a match with those of a condition's solution, or None if it has none."""
 
 
 class AlarmOwner(Protocol):
