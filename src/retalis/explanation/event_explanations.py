@@ -1,6 +1,6 @@
 """Explanations of events: why an event happened, or why it did not (why- and why-not provenance).
 
-If the event happened, its lineage is shown as a tree (`derivation_tree`): the rule that fired it, and recursively the
+If the event happened, its lineage is shown as a tree (`DerivationTrees`): the rule that fired it, and recursively the
 events that matched. If it did not, each rule whose head unifies with the event is evaluated over the recorded events
 (`why_not_matched`), and missing events are explained recursively (`why_not_happened`). Subscriptions that did not
 publish are explained in the same way (`why_not_published`).
@@ -10,10 +10,11 @@ with the number of recorded events, so callers that serve others set a limit.
 """
 
 from time import monotonic
-from typing import Callable, List, Optional, Sequence, Tuple, Union
+from typing import Callable, Dict, List, Optional, Sequence, Set, Tuple, Union
 
 from ..engine.engine import Engine
 from ..engine.loaded_items import LoadedProgram
+from ..events.knowledge.event_states import StateRegistry
 from ..events.network.lineage_graph import Occurrence
 from ..foundation.cancellation import set_limit_check
 from ..foundation.displayed_text import format_count
@@ -22,10 +23,12 @@ from ..prolog.syntax.term_reader import read_term
 from ..prolog.terms import timestamps
 from ..prolog.terms.list_terms import list_items
 from ..prolog.terms.types import Atom, Term, Var, atom, deref, functor
-from .derivation_tree import DerivationTrees
 from .explanation_lines import MAX_LINES_OF_A_KIND, Explanation, ExplanationLine, ExplanationTexts
 from .why_not_happened import RequestedInterval, WhyNotHappened
 from .why_not_published import WhyNotPublished, can_unify
+
+MAX_DEPTH = 50
+"""Maximum length of a chain of derived events that is shown."""
 
 _EVENT_FUNCTOR = functor("event", 2)
 
@@ -140,6 +143,69 @@ def _create_time_check(end: float, seconds: float) -> Callable[[int, int], None]
             raise UsageError(f"no explanation within {seconds:g} s: there are too many recorded events")
 
     return check_time
+
+
+class DerivationTrees:
+    """Why-provenance: derivation trees of the occurrences of one explanation; each is expanded once.
+
+    Args:
+        occurrences: the recorded events.
+        states: the declared states of the program, whose ends are events without a rule.
+        texts: formats events and rules.
+    """
+
+    def __init__(self, occurrences: Sequence[Occurrence], states: StateRegistry, texts: ExplanationTexts):
+        self._occurrences = occurrences
+        self._states = states
+        self._texts = texts
+        self._expanded_ids: Set[int] = set()
+        """Ids of the occurrences whose causes have been shown."""
+        self._causes_by_id: Optional[Dict[int, List[Occurrence]]] = None
+
+    def explain(self, occurrence: Occurrence, depth: int = 0) -> ExplanationLine:
+        """Return the derivation tree of an occurrence.
+
+        A subtree that was shown before is replaced by "see above", one that is too deep by "...".
+        """
+        text = self._texts.format_event(occurrence)
+        if occurrence.retracts is not None:
+            retracted = [
+                ExplanationLine(self._texts.format_event(event), []) for event in occurrence.retracts
+            ]
+            return ExplanationLine(f"{text} retracts", retracted)
+        causes = occurrence.sources() or self._causes_of(occurrence)
+        if occurrence.match is None and not causes:
+            return ExplanationLine(f"{text} {self._describe_missing_causes(occurrence)}", [])
+        if depth > MAX_DEPTH:
+            return ExplanationLine(f"{text} ...", [])
+        # Shared causes would make the tree grow exponentially, so each occurrence is expanded once.
+        if id(occurrence) in self._expanded_ids:
+            return ExplanationLine(f"{text}, see above", [])
+        self._expanded_ids.add(id(occurrence))
+        below = [self.explain(cause, depth + 1) for cause in causes]
+        return ExplanationLine(f"{text} {self._describe_derivation(occurrence)}", below)
+
+    def _causes_of(self, occurrence: Occurrence) -> List[Occurrence]:
+        """Return the occurrences from which an occurrence without a match was derived."""
+        if self._causes_by_id is None:
+            # Occurrences only refer to what they were derived into, so the opposite direction is built once.
+            self._causes_by_id = {}
+            for cause in self._occurrences:
+                for derived in cause.derived:
+                    if derived.match is None:
+                        self._causes_by_id.setdefault(id(derived), []).append(cause)
+        return self._causes_by_id.get(id(occurrence), [])
+
+    def _describe_missing_causes(self, occurrence: Occurrence) -> str:
+        if occurrence.rule is None:
+            return "came from outside"
+        return f"by {self._texts.format_rule(occurrence.rule)}: what it came from is no longer recorded"
+
+    def _describe_derivation(self, occurrence: Occurrence) -> str:
+        if occurrence.rule is not None:
+            return f"by {self._texts.format_rule(occurrence.rule)}"
+        is_state = bool(self._states.declarations_with_functor_of(occurrence.term))
+        return "has ended; it began and ended with" if is_state else "was released by"
 
 
 def _explain_request(program: LoadedProgram, request: Term, reference_time: Optional[int]) -> Explanation:

@@ -1,6 +1,6 @@
 """Why-not provenance of events: the rules and states that could have raised an event, and what they lack."""
 
-from typing import Any, Dict, List, Optional, Sequence, Tuple, Union
+from typing import TYPE_CHECKING, Any, Dict, List, Optional, Sequence, Tuple, Union
 
 from ..engine.loaded_items import LoadedProgram
 from ..events.checks.program_model import MIN_SIMILARITY
@@ -14,10 +14,12 @@ from ..prolog.terms import timestamps
 from ..prolog.terms.term_traversal import copy
 from ..prolog.terms.types import Term, Trail, Var, deref, functor, functor_name
 from ..prolog.terms.unification import undo, unify
-from .derivation_tree import DerivationTrees
 from .explanation_lines import MAX_LINES_OF_A_KIND, ExplanationLine, ExplanationTexts
 from .why_not_matched import PartResult, WhyNotMatched
 from .why_not_published import WhyNotPublished, can_unify
+
+if TYPE_CHECKING:
+    from .event_explanations import DerivationTrees
 
 RequestedInterval = Tuple[int, int]
 """Start and end, in nanoseconds, of the event that is explained."""
@@ -47,7 +49,7 @@ class WhyNotHappened:
         occurrences: Sequence[Occurrence],
         reference_time: Optional[int],
         texts: ExplanationTexts,
-        derivations: DerivationTrees,
+        derivations: "DerivationTrees",
         why_not_published: WhyNotPublished,
     ):
         self._program = program
