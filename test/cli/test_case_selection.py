@@ -1,9 +1,9 @@
-"""NamePredicate of cases by name."""
+"""Selection of cases by the expression of option ``-k``."""
 
 import pytest
 
+from retalis.cli.program_test_command import parse_selection
 from retalis.foundation.errors import UsageError
-from retalis.testing.case_selection import parse_selection
 
 
 @pytest.mark.parametrize(
