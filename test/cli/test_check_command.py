@@ -331,7 +331,7 @@ def test_rules_are_explained_in_words(capsys: pytest.CaptureFixture[str], folder
         f"hot(X) ({folder}/eventRules.txt:1)\n`hot(X)` is emitted when\n"
         "- `my_robot__0__Heat(X, _)` ended before `hot(X)` started\n\n"
         f"quiet ({folder}/eventRules.txt:3)\n`silent` is emitted when\n"
-        "- 1 h 30 min have passed since `hot(_)` ended, with no `hot(_)` between\n\n"
+        "- 1 h 30 min passed after `hot(_)` ended, with no `hot(_)` in between\n\n"
         f"{folder}: no errors, no warnings\n",
     )
 

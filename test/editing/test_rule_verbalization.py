@@ -32,7 +32,7 @@ def test_conditions_follow_pattern() -> None:
 def test_operands_that_are_patterns_are_nested() -> None:
     assert reading("label : x <- (a or b) seq absent(c, 3).") == [
         "`x` is emitted when",
-        "- 3 s have passed since **P** ended, with no `c` between",
+        "- 3 s passed after **P** ended, with no `c` in between",
         "  - **P**:",
         "    - `a` or `b` happened",
     ]
@@ -87,21 +87,21 @@ def test_long_pattern_is_shortened() -> None:
 
 def test_durations_have_units() -> None:
     assert reading("x <- a seq absent(b, 5000).")[1] == (
-        "- 1 h 23 min 20 s have passed since `a` ended, with no `b` between"
+        "- 1 h 23 min 20 s passed after `a` ended, with no `b` in between"
     )
     assert reading("x <- a with not_preceded(b, 90).")[1] == (
         "- `a` happened, and no `b` ended in the 1 min 30 s before `a` started"
     )
-    assert reading("x(N) <- n(N) seq absent(b, N).")[1].startswith("- `N` seconds have")
-    assert reading("x(N) <- n(N) seq absent(b, 0.25).")[1].startswith("- 250 ms have")
+    assert reading("x(N) <- n(N) seq absent(b, N).")[1].startswith("- `N` seconds passed")
+    assert reading("x(N) <- n(N) seq absent(b, 0.25).")[1].startswith("- 250 ms passed")
 
 
 def test_window_has_words_of_its_measures() -> None:
     assert reading("x(L, H) <- aggregate([min(T), quantile(0.9, T)], t(T), [L, H], last(90)).")[1] == (
-        "- `t(T)` happened; `L` is the smallest `T`, `H` is the quantile `0.9` of `T` in the last 1 min 30 s"
+        "- `t(T)` happened; `L` is the smallest `T` and `H` is the quantile `0.9` of `T` in the last 1 min 30 s"
     )
     assert reading("x(R) <- aggregate([count, avg(T)], a(T) or b(T), R, every(60, first)).")[1:] == [
-        "- 1 min have passed since a first **Q**; `R` is the list of the number of **Q**, the average of `T` in this "
+        "- 1 min passed after a first **Q**; `R` is a list with the number of **Q** and the average of `T` in this "
         "time",
         "  - **Q**:",
         "    - `a(T)` or `b(T)` happened",
@@ -111,33 +111,33 @@ def test_window_has_words_of_its_measures() -> None:
 def test_held_values_have_words_for_all_notations() -> None:
     text = reading("x(N) <- aggregate(avg(T), a(T), N, held(last(90))).")[1]
     assert text == (
-        "- `a(T)` happened; `N` is the average of `T` over time in the last 1 min 30 s, where each `a(T)` lasts "
+        "- `a(T)` happened; `N` is the average of `T` over time in the last 1 min 30 s, in which each `a(T)` lasts "
         "until the next one"
     )
     for window in ("last(5)", "every(5)", "last(5, every(2))"):
         for limit, words in (("", "next one"), (", max(7)", "next one, at most 7 s")):
             text = reading(f"x(N) <- aggregate(duration(T > 3), a(T), N, held({window}{limit})).")[1]
-            assert "`N` is the seconds for which `T>3` holds over time in" in text
+            assert "`N` is the number of seconds for which `T>3` holds in" in text
             assert text.endswith(words)
 
 
 def test_sessions_have_words_for_both_notations() -> None:
     assert reading("x(N) <- aggregate(count, a(_), N, session(90)).")[1] == (
-        "- no `a(_)` has happened for 1 min 30 s; `N` is the number of `a(_)` in the `a(_)` since the last such pause"
+        "- no `a(_)` happened for 1 min 30 s; `N` is the number of `a(_)` since the last such pause"
     )
     assert reading("x(N) <- aggregate(count, a(_), N, session(90, max(600))).")[1] == (
-        "- no `a(_)` has happened for 1 min 30 s, or 10 min have passed since the first of them; `N` is the number "
-        "of `a(_)` in them"
+        "- no `a(_)` happened for 1 min 30 s, or 10 min passed after the first of them; `N` is the number of `a(_)` "
+        "in them"
     )
 
 
 def test_steps_have_a_line_each() -> None:
     text = "x <- aggregate(count, v(V), _, steps([low, later(high(2, many, until(V < 1))) where V > 3]))."
     assert reading(text)[1:] == [
-        "- `v(V)` happened by these steps",
+        "- `v(V)` happened in these steps",
         "  - `low`: once",
-        "  - `high`: after any others, 2 times or more, until goal `V<1` has a solution, "
-        "where goal `V>3` has a solution",
+        "  - `high`: after any others, 2 times or more, where goal `V>3` has a solution, "
+        "until goal `V<1` has a solution",
     ]
 
 
@@ -146,9 +146,9 @@ def test_groups_of_steps_are_indented() -> None:
     text = f"x <- aggregate(count, v(V), _, steps([{steps}]))."
     assert reading(text)[2:] == [
         "  - `low`: once",
-        "  - these steps, 1 time or more, as few as possible:",
+        "  - these steps, once or more, as few as possible:",
         "    - `a`: once",
-        "    - one of these steps, the first one that fits is preferred:",
+        "    - one of these steps; the first one that fits is preferred:",
         "      - `b`: once, where goal `V>1` has a solution",
         "      - `c`: once",
         "  - these steps in any order:",
@@ -162,11 +162,29 @@ def test_timed_out_steps_have_words() -> None:
         "x(N) <- aggregate(count, v(V), N, timed_out(steps([low, high], [after_match(skip_to_next)]), 90))."
     )
     assert reading(text)[1:] == [
-        "- `v(V)` has begun these steps, and not completed them within 1 min 30 s; `N` is the number of `v(V)` in "
+        "- `v(V)` began these steps, and did not complete them within 1 min 30 s; `N` is the number of `v(V)` in "
         "them so far",
         "  - `low`: once",
         "  - `high`: once",
         "  - the next match begins at the event after the first one of a match",
+    ]
+
+
+def test_rows_of_steps_have_names_in_measures() -> None:
+    kinds = "[first(t1), of(high, last(t2)), list(step), max(V)]"
+    text = f"x(S, R) <- aggregate({kinds}, v(V), [S, E, Names, 9], steps([low(0, 1), high(0, many) where V > 1]))."
+    assert reading(text)[1:] == [
+        "- `v(V)` happened in these steps; `S` is the first start, `E` is the last end of step `high`, `Names` is "
+        "the list of all step names and the largest `V` is `9` in them",
+        "  - `low`: at most once",
+        "  - `high`: any number of times, where goal `V>1` has a solution",
+    ]
+
+
+def test_instant_of_sequence_has_a_line() -> None:
+    assert reading("x <- at_end(a seq b).")[1:] == [
+        "- `a` ended before `b` started",
+        "- only the instant of its end counts",
     ]
 
 

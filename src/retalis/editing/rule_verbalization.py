@@ -57,17 +57,26 @@ _LETTER = re.compile(r"`[^`]*`|\b([A-Z][A-Za-z]*)( seconds)?\b")
 _PATTERN_LETTERS = ("P", "Q", "R")
 """Letters of operands that are patterns, except R in aggregates."""
 _RESULT = "R is K"
+_ROW_WORDS = {"t1": "start", "t2": "end", "step": "step name"}
+"""Words for the atoms that stand for values of a row in measures of steps."""
 
 _Operands = Dict[str, Term]
 
 
 class _TableRow(NamedTuple):
-    """A row of a table of notations: its notation as a term, and its words."""
+    """A row of a table of notations.
+
+    Attributes:
+        notation: its notation as a term.
+        letters: the letters of the variables of the notation.
+        words: its words.
+        text: the text of its notation.
+    """
 
     notation: Term
     letters: Dict[Var, str]
     words: str
-    size: int
+    text: str
 
 
 def _make_rows(readings: Iterable[Tuple[str, str]]) -> List[_TableRow]:
@@ -77,8 +86,8 @@ def _make_rows(readings: Iterable[Tuple[str, str]]) -> List[_TableRow]:
         read = read_term(f"x <- {notation}", Operators.prolog())
         term: Any = read.term
         letters = {var: name for name, var in read.names.items()}
-        rows.setdefault(notation, _TableRow(deref(term[2]), letters, words, len(notation)))
-    return sorted(rows.values(), key=lambda row: -row.size)
+        rows.setdefault(notation, _TableRow(deref(term[2]), letters, words, notation))
+    return sorted(rows.values(), key=lambda row: -len(row.text))
 
 
 @lru_cache(maxsize=1)
@@ -95,12 +104,11 @@ def _pattern_rows() -> List[_TableRow]:
     return _make_rows(readings)
 
 
-@lru_cache(maxsize=1)
-def _aggregate_rows() -> List[_TableRow]:
-    """Return the rows of aggregates."""
-    rows = [(function.notation, function.words) for function in AGGREGATES.values()]
-    rows += [(function.notation, function.words) for function in HELD_AGGREGATES.values()]
-    return _make_rows(rows)
+@lru_cache(maxsize=2)
+def _aggregate_rows(is_held: bool) -> List[_TableRow]:
+    """Return the rows of aggregates, of held values or of others."""
+    functions = HELD_AGGREGATES.values() if is_held else AGGREGATES.values()
+    return _make_rows([(function.notation, function.words) for function in functions])
 
 
 @lru_cache(maxsize=1)
@@ -305,7 +313,7 @@ class _ReadingWriter:
         }
         texts = {letter: f"**{letter}**" for letter in nested}
         if has_result:
-            words = self._describe_result(words, operands, texts)
+            words = self._describe_result(match[0], operands, texts)
         yield f"{indent}- {self._fill(words, operands, texts)}"
         if "S" in operands:
             yield from self._describe_parts(list_items(operands["S"]) or (), level + 1)
@@ -315,34 +323,45 @@ class _ReadingWriter:
             yield f"{indent}  - **{name}**:"
             yield from self.describe(operand, level + 2, depth + 1)
 
-    def _describe_result(self, words: str, operands: _Operands, texts: Dict[str, str]) -> str:
+    def _describe_result(self, row: _TableRow, operands: _Operands, texts: Dict[str, str]) -> str:
         """Return the words of an aggregate with its measures, whose texts are added to ``texts``."""
         kind, result = operands["K"], operands["R"]
         if result.__class__ is Var and self._names.get(result) == "_":
-            return words.partition(";")[0]
+            return row.words.partition(";")[0]
         kinds, results = list_items(kind), list_items(result)
         if kinds is None:
-            measures = [self._describe_measure(kind, operands, texts)]
-            results = [result]
-        else:
-            measures = [self._describe_measure(item, operands, texts) for item in kinds]
+            kinds, results = [kind], [result]
+        measures = [self._describe_measure(item, row, operands, texts) for item in kinds]
         if results is None or len(results) != len(measures):
-            described = f"{self.quote(result)} is the list of {', '.join(measures)}"
+            described = f"{self.quote(result)} is a list with {_join_with_and(measures)}"
         else:
-            pairs = zip(results, measures)
-            described = ", ".join(f"{self.quote(value)} is {measure}" for value, measure in pairs)
+            described = _join_with_and(
+                [
+                    f"{self.quote(value)} is {measure}"
+                    if deref(value).__class__ is Var
+                    else f"{measure} is {self.quote(value)}"
+                    for value, measure in zip(results, measures)
+                ]
+            )
         # A letter, because the words of the measures may contain letters of the notation.
         texts["Result"] = described
-        return words.replace(_RESULT, "Result")
+        return row.words.replace(_RESULT, "Result")
 
-    def _describe_measure(self, kind: Term, operands: _Operands, texts: Dict[str, str]) -> str:
+    def _describe_measure(
+        self, kind: Term, row: _TableRow, operands: _Operands, texts: Dict[str, str]
+    ) -> str:
         kind_term: Any = deref(kind)
         if kind_term.__class__ is tuple and functor_name(kind_term) == "of" and len(kind_term) == 3:
-            measure = self._describe_measure(kind_term[2], operands, texts)
+            measure = self._describe_measure(kind_term[2], row, operands, texts)
             return f"{measure} of step {self.quote(kind_term[1])}"
-        match = _find_row(_aggregate_rows(), kind_term)
+        match = _find_row(_aggregate_rows("held(" in row.text), kind_term)
         if match is None:
             return self.quote(kind)
+        # The stamps and the step of a row have names of their own in the measures of steps only.
+        measured: Any = deref(match[1].get("X", kind_term))
+        if "S" in operands and measured.__class__ is Atom and measured.name in _ROW_WORDS:
+            is_plural = match[0].words.endswith(("all X", "different X"))
+            texts = {**texts, "X": _ROW_WORDS[measured.name] + ("s" if is_plural else "")}
         return self._fill(match[0].words, {"Q": operands["Q"], **match[1]}, texts)
 
     def _describe_parts(self, parts: Sequence[Term], level: int) -> Iterator[str]:
@@ -354,12 +373,12 @@ class _ReadingWriter:
             if part.__class__ is tuple and name == "or" and len(part) == 3:
                 inner_parts, words = (
                     list(part[1:]),
-                    "one of these steps, the first one that fits is preferred",
+                    "one of these steps; the first one that fits is preferred",
                 )
             elif part.__class__ is tuple and name == "permute" and len(part) == 2:
                 inner_parts, words = list_items(part[1]), "these steps in any order"
             elif part.__class__ is tuple and name == "group" and list_items(part[1]) is not None:
-                inner_parts, words = list_items(part[1]), f"these steps, {self._describe_counts(part[2:])}"
+                inner_parts, words = list_items(part[1]), f"these steps, {_describe_counts(part[2:])}"
             if inner_parts is None or level > _MAX_NESTED_PATTERNS:
                 yield f"{indent}- {self._describe_step(part)}"
                 continue
@@ -385,25 +404,30 @@ class _ReadingWriter:
             elif len(step) == 2:
                 begin = "after any others, "
             step = deref(step[1])
-        times = self._describe_counts(step[1:] if step.__class__ is tuple else ())
-        return f"`{functor_name(step)}`: {begin}{', '.join([times, *texts])}"
-
-    def _describe_counts(self, terms: Sequence[Term]) -> str:
-        """Return how often a step or a group matches, given its arguments."""
-        arguments: List[Any] = [deref(argument) for argument in terms]
-        counts = [argument for argument in arguments if argument.__class__ is int]
-        names = [argument.name for argument in arguments if argument.__class__ is Atom]
-        times = format_count(counts[0], "time") if counts else "once"
-        if len(counts) == 2:
-            times = f"{counts[0]} to {format_count(counts[1], 'time')}"
-        elif "many" in names:
-            times += " or more"
-        if "reluctant" in names:
-            times += ", as few as possible"
+        arguments: List[Any] = [deref(argument) for argument in step[1:]] if step.__class__ is tuple else []
         for argument in arguments:
             if argument.__class__ is tuple and functor_name(argument) == "until":
-                times += f", until goal {self.quote(argument[1])} has a solution"
-        return times
+                texts.append(f"until goal {self.quote(argument[1])} has a solution")
+        return f"`{functor_name(step)}`: {begin}{', '.join([_describe_counts(arguments), *texts])}"
+
+
+def _describe_counts(terms: Sequence[Term]) -> str:
+    """Return how often a step or a group matches, given its arguments."""
+    arguments: List[Any] = [deref(argument) for argument in terms]
+    counts = [argument for argument in arguments if argument.__class__ is int] or [1]
+    names = [argument.name for argument in arguments if argument.__class__ is Atom]
+    times = "once" if counts[0] == 1 else format_count(counts[0], "time")
+    if len(counts) == 2:
+        times = "at most once" if counts == [0, 1] else f"{counts[0]} to {format_count(counts[1], 'time')}"
+    elif "many" in names:
+        times = f"{times} or more" if counts[0] else "any number of times"
+    return f"{times}, as few as possible" if "reluctant" in names else times
+
+
+def _join_with_and(texts: Sequence[str]) -> str:
+    """Return texts as a list in words: ``a``, ``a and b``, ``a, b and c``."""
+    *others, last = texts
+    return f"{', '.join(others)} and {last}" if others else last
 
 
 def _read_file(path: str) -> Iterator[RuleReading]:

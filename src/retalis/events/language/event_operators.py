@@ -154,7 +154,7 @@ _GOAL = (True, False)
 
 def _interval_condition_reading(name: str) -> PatternReading:
     return PatternReading(
-        f"P {name} G", "P happened, and goal G, in which t1 and t2 are its interval, has a solution"
+        f"P {name} G", "P happened, and goal G, in which t1 and t2 are its start and end, has a solution"
     )
 
 
@@ -210,17 +210,19 @@ EVENT_OPERATORS: Tuple[EventOperator, ...] = (
         readings=(
             PatternReading("P with throttle(N, K)", "P happened, at most once in N seconds for each K"),
             PatternReading(
-                "P with burst(N, K)", "P happened, and no other P with this K ended in the N seconds before"
+                "P with burst(N, K)",
+                "P happened, and no other P with the same K ended in the N seconds before",
             ),
             PatternReading(
-                "P with debounce(N, K)", "P happened, and no other P with this K for N seconds after it"
+                "P with debounce(N, K)", "P happened, and no other P with the same K for N seconds after it"
             ),
             PatternReading(
-                "P with change(X, K)", "P happened, and X differs from the X of the previous P with this K"
+                "P with change(X, K)",
+                "P happened, and X differs from the X of the previous P with the same K",
             ),
             PatternReading(
                 "P with change_after_first(X, K)",
-                "P happened, and the previous P with this K had another X",
+                "P happened, and the previous P with the same K had another X",
             ),
         ),
     ),
@@ -499,7 +501,7 @@ EVENT_OPERATORS: Tuple[EventOperator, ...] = (
             ),
             PatternReading(
                 "aggregate(K,Q,R,every(N,first))",
-                "N seconds have passed since a first Q; R is K in this time",
+                "N seconds passed after a first Q; R is K in this time",
             ),
             PatternReading(
                 "aggregate(K,Q,R,every(N,events))",
@@ -507,7 +509,7 @@ EVENT_OPERATORS: Tuple[EventOperator, ...] = (
             ),
             PatternReading(
                 "aggregate(K,Q,R,last(N,every(M)))",
-                "Q happened, each M seconds; R is K in the last N seconds",
+                "Q happened in the last N seconds, checked every M seconds; R is K in this time",
             ),
             PatternReading(
                 "aggregate(K,Q,R,running(every(N)))",
@@ -523,49 +525,50 @@ EVENT_OPERATORS: Tuple[EventOperator, ...] = (
             ),
             PatternReading(
                 "aggregate(K,Q,R,session(N))",
-                "no Q has happened for N seconds; R is K in the Q since the last such pause",
+                "no Q happened for N seconds; R is K since the last such pause",
             ),
             PatternReading(
                 "aggregate(K,Q,R,session(N,max(M)))",
-                "no Q has happened for N seconds, or M seconds have passed since the first of them; R is K in them",
+                "no Q happened for N seconds, or M seconds passed after the first of them; R is K in them",
             ),
             PatternReading(
                 "aggregate(K,Q,R,held(last(N)))",
-                "Q happened; R is K over time in the last N seconds, where each Q lasts until the next one",
+                "Q happened; R is K in the last N seconds, in which each Q lasts until the next one",
             ),
             PatternReading(
                 "aggregate(K,Q,R,held(last(N),max(M)))",
-                "Q happened; R is K over time in the last N seconds, where each Q lasts until the next one, at most "
+                "Q happened; R is K in the last N seconds, in which each Q lasts until the next one, at most "
                 "M seconds",
             ),
             PatternReading(
                 "aggregate(K,Q,R,held(every(N)))",
-                "a period of N seconds, counted from 1970, has ended; R is K over time in this period, where each Q "
-                "lasts until the next one",
+                "a period of N seconds, counted from 1970, has ended; R is K in this period, in which each Q lasts "
+                "until the next one",
             ),
             PatternReading(
                 "aggregate(K,Q,R,held(every(N),max(M)))",
-                "a period of N seconds, counted from 1970, has ended; R is K over time in this period, where each Q "
-                "lasts until the next one, at most M seconds",
+                "a period of N seconds, counted from 1970, has ended; R is K in this period, in which each Q lasts "
+                "until the next one, at most M seconds",
             ),
             PatternReading(
                 "aggregate(K,Q,R,held(last(N,every(M))))",
-                "each M seconds; R is K over time in the last N seconds, where each Q lasts until the next one",
+                "Q lasted in the last N seconds, checked every M seconds; R is K in this time, in which each Q lasts "
+                "until the next one",
             ),
             PatternReading(
                 "aggregate(K,Q,R,held(last(N,every(M)),max(L)))",
-                "each M seconds; R is K over time in the last N seconds, where each Q lasts until the next one, at "
-                "most L seconds",
+                "Q lasted in the last N seconds, checked every M seconds; R is K in this time, in which each Q lasts "
+                "until the next one, at most L seconds",
             ),
-            PatternReading("aggregate(K,Q,R,steps(S))", "Q happened by these steps; R is K in them"),
-            PatternReading("aggregate(K,Q,R,steps(S,O))", "Q happened by these steps; R is K in them"),
+            PatternReading("aggregate(K,Q,R,steps(S))", "Q happened in these steps; R is K in them"),
+            PatternReading("aggregate(K,Q,R,steps(S,O))", "Q happened in these steps; R is K in them"),
             PatternReading(
                 "aggregate(K,Q,R,timed_out(steps(S),N))",
-                "Q has begun these steps, and not completed them within N seconds; R is K in them so far",
+                "Q began these steps, and did not complete them within N seconds; R is K in them so far",
             ),
             PatternReading(
                 "aggregate(K,Q,R,timed_out(steps(S,O),N))",
-                "Q has begun these steps, and not completed them within N seconds; R is K in them so far",
+                "Q began these steps, and did not complete them within N seconds; R is K in them so far",
             ),
         ),
     ),
@@ -576,7 +579,7 @@ EVENT_OPERATORS: Tuple[EventOperator, ...] = (
         notation="absent(Pattern, Seconds)",
         table_rows=(
             PatternTableRow(
-                "`P seq absent(Q,N)`", "N seconds have passed since P ended, with no Q between", "[s1,e1+N]"
+                "`P seq absent(Q,N)`", "N seconds passed after P ended, with no Q in between", "[s1,e1+N]"
             ),
         ),
     ),
@@ -603,7 +606,7 @@ EVENT_OPERATORS: Tuple[EventOperator, ...] = (
         allows_fact_name=False,
         notation="at_end(Pattern)",
         table_rows=(PatternTableRow("`at_end(P)`", "P happened", "[e,e], the instant of its end"),),
-        readings=(PatternReading("at_end(P)", "P happened, taken as the instant of its end"),),
+        readings=(PatternReading("at_end(P)", "P happened; only the instant of its end counts"),),
     ),
     EventOperator(
         "at_start",
@@ -614,7 +617,7 @@ EVENT_OPERATORS: Tuple[EventOperator, ...] = (
         allows_fact_name=False,
         notation="at_start(Pattern)",
         table_rows=(PatternTableRow("`at_start(P)`", "P happened", "[s,s], the instant of its start"),),
-        readings=(PatternReading("at_start(P)", "P happened, taken as the instant of its start"),),
+        readings=(PatternReading("at_start(P)", "P happened; only the instant of its start counts"),),
     ),
 )
 """All event operators, the highest priority first, as ``current_op/3`` lists them."""

@@ -916,7 +916,7 @@ AGGREGATES: Dict[str, AggregateFunction] = {
         AggregateFunction(
             "fold",
             "fold(Init, Step, Result, X)",
-            "the Result of Step over all X, from Init",
+            "the result of Result after a fold by Step, from Init, of all X",
             _UserFoldAccumulator,
             make_user_fold,
             setting_count=3,

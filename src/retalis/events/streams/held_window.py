@@ -153,8 +153,8 @@ class HeldAggregate(NamedTuple):
 
 
 HELD_AGGREGATES: Dict[str, HeldAggregate] = {
-    "avg": HeldAggregate("avg(X)", "the average of X", _TimeAverage),
-    "duration": HeldAggregate("duration(Goal)", "the seconds for which Goal holds", _TimeOfGoal),
+    "avg": HeldAggregate("avg(X)", "the average of X over time", _TimeAverage),
+    "duration": HeldAggregate("duration(Goal)", "the number of seconds for which Goal holds", _TimeOfGoal),
     "min": HeldAggregate("min(X)", "the smallest X", _HeldMinimum),
     "max": HeldAggregate("max(X)", "the largest X", _HeldMaximum),
     "first": HeldAggregate("first(X)", "the first X", _FirstHeld),
