@@ -136,6 +136,7 @@ def test_operator_is_added(tmp_path: Path) -> None:
     tree.output("docs/editors/make.py")
     tree.run_tests(
         "test/events/language/test_event_operators.py",
+        "test/test_operators_page.py",
         "test/events/test_operator_table.py",
         "test/test_syntax_highlighting.py",
         "-k",

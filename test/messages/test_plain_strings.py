@@ -1,4 +1,4 @@
-"""Strings of messages as atoms without double quotes: decoding, encoding, dictionaries, and registries."""
+"""Strings of messages as atoms without double quotes: codecs, dictionaries, registries, and ``message_text/2``."""
 
 import gc
 import weakref
@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from retalis import Definitions, MessageError, atom, functor
+from retalis import Definitions, Engine, MessageError, atom, functor
 from retalis.messages.action_events import ActionEvent, ActionMessages
 from retalis.messages.decoder import MAX_EAGER_BYTES
 from retalis.messages.message_dictionaries import make_message_term, read_message_term
@@ -160,3 +160,35 @@ def test_double_quoted_event_text_is_plain_atom(text: str) -> None:
     expected = EventReader().read(text.replace('"', "'"))
     for _ in range(3):
         assert reader.read(text) == expected
+
+
+@pytest.mark.parametrize(
+    ("goal", "variable", "expected"),
+    [
+        ("message_text('\"hall\"', T)", "T", "hall"),
+        ("message_text('\"\"', T)", "T", ""),
+        ('message_text(\'"a"b"\', T)', "T", 'a"b'),
+        ("message_text(Q, hall)", "Q", '"hall"'),
+        ('message_text(Q, "two words")', "Q", '"two words"'),
+        ("message_text(Q, 12)", "Q", '"12"'),
+    ],
+)
+def test_message_text_is_converted(goal: str, variable: str, expected: str) -> None:
+    (answer,) = Engine().query(goal)
+    assert answer[variable] is atom(expected)
+
+
+@pytest.mark.parametrize(
+    ("goal", "holds"),
+    [
+        ("message_text('\"hall\"', hall)", True),
+        ('message_text(\'"hall"\', "hall")', True),
+        ("message_text('\"hall\"', kitchen)", False),
+        ("catch(message_text(hall, _), error(type_error(message_text, hall), _), true)", True),
+        ("catch(message_text('\"', _), error(type_error(message_text, '\"'), _), true)", True),
+        ("catch(message_text(_, _), error(instantiation_error, _), true)", True),
+        ("catch(message_text(_, f(x)), error(type_error(_, _), _), true)", True),
+    ],
+)
+def test_bound_message_texts_are_compared(goal: str, holds: bool) -> None:
+    assert bool(Engine().query(goal)) is holds

@@ -3,6 +3,7 @@
 from typing import Any, List, Tuple
 
 import pytest
+from events.program_runner import ProgramRunner, outputs_of
 
 from retalis import Engine, ProgramErrors, PrologError, Settings, StreamClock, UsageError
 from retalis.events.rules.language_flags import FLAGS
@@ -141,6 +142,35 @@ def test_pattern_control_removes_negated_events() -> None:
     assert waiting == [100, 11, 20]  # with a step of 30 s last at the 90th second
 
 
+def test_general_garbage_control_removes_matches() -> None:
+    flags = [("garbage_window", 2), ("garbage_window_step", 1), ("garbage_control", "general")]
+    rules = "c(X) <- a(X) seq b(X). f(X) <- e fnot g(X). s(N) <- i(X) seq aggregate(count, j(X), N)."
+    stream = " ".join(f"a({i})@{i} g({i})@{i} i({i})@{i}" for i in range(50))
+    program, collecting_program = ProgramRunner(rules), ProgramRunner(rules, flags)
+    program.feed(stream)
+    collecting_program.feed(stream)
+    assert program.engine.rules.match_count == 101
+    assert collecting_program.engine.rules.match_count < 10
+
+
+def test_garbage_control_keeps_active_runs() -> None:
+    flags = [("garbage_window", 10), ("garbage_window_step", 1), ("garbage_control", "general")]
+    program = ProgramRunner("s(N) <- i seq aggregate(count, j, N). t <- i seq j star_times.", flags)
+    assert program.feed("i@1 j@8") == "s(0)@1-1 t@1-1 s(1)@1-8 t@1-8"
+    assert program.feed("j@17 j@26") == "s(2)@1-17 t@1-17 s(3)@1-26 t@1-26"
+    assert program.feed("j@38") == ""
+    assert program.engine.rules.match_count == 0
+
+
+def test_pattern_garbage_control_uses_windows() -> None:
+    rules = (
+        "r([property(window,50), property(window_step,1)]) : c(X) <- a(X) seq b(X). d(X) <- a(X) seq e(X)."
+    )
+    program = ProgramRunner(rules, [("garbage_control", "pattern")])
+    program.feed(" ".join(f"a({i})@{i}" for i in range(200)))
+    assert [rule.stored_match_count for rule in program.engine.rules.rules] == [51, 200]
+
+
 @pytest.mark.parametrize("name", [name for name, flag in FLAGS.items() if not flag.values])
 @pytest.mark.parametrize("number", ["inf", "nan"])
 def test_infinite_value_of_flag_is_refused(name: Any, number: str) -> None:
@@ -177,3 +207,56 @@ def test_rule_sharing_keeps_outputs(policy: str) -> None:
 def test_switch_keeps_outputs_of_plain_program(switch: Any) -> None:
     for state in ("on", "off"):
         assert engine_and_outputs(RULE, **{switch: state})[1] == [("out(1)", 1)]
+
+
+# ---- late events ----------------------------------------------------------------------------------------
+
+
+def test_rule_has_own_out_of_order_property() -> None:
+    rules = "r([property(out_of_order,{})]) : c <- a seq b. d <- a seq b."
+    assert outputs_of(rules.format("on"), "b@5 a@2") == "c@2-5"
+    assert outputs_of(rules.format("off"), "b@5 a@2", flags=["out_of_order"]) == "d@2-5"
+
+
+def test_negated_event_is_kept_for_late_first_side() -> None:
+    rules = "r([property(window,3),property(out_of_order,on)]) : c <- (a seq b) cnot d."
+    assert outputs_of(rules, "d@1 b@2 b@4 a@0") == ""
+
+
+@pytest.mark.parametrize(
+    ("rule", "stream", "expected"),
+    [
+        ("c <- a seq b.", "b@2 a@1", "c@1-2"),
+        ("c <- (a seq b) cnot d.", "d@2 b@3 a@1", ""),
+        ("c(X) <- a(X) forall_seq b.", "b@3 a(1)@1", "c(1)@1-3"),
+        ("c <- a seq b seq d.", "d@3 b@2 a@1", "c@1-3"),
+        ("c <- a forall_seq a.", "a@33 a@29-31", "c@29-33"),
+    ],
+)
+def test_out_of_order_flag_accepts_late_events(rule: str, stream: str, expected: str) -> None:
+    assert outputs_of(rule, stream) == ""
+    assert outputs_of(rule, stream, flags=["out_of_order"]) == expected
+
+
+@pytest.mark.parametrize(
+    ("policy", "expected"),
+    [
+        ("recent", "n(0)@3-3 n(1)@3-4 n(2)@3-6 n(0)@1-1 n(1)@1-6 n(2)@1-8"),
+        ("recent_2", "n(0)@3-3 n(1)@3-4 n(2)@3-6 n(0)@1-1 n(1)@1-2 n(2)@1-6 n(3)@1-8"),
+        ("chronological", "n(0)@3-3 n(1)@3-4 n(2)@3-6 n(0)@1-1 n(1)@1-2 n(2)@1-6 n(3)@3-8"),
+        ("unrestricted", "n(0)@3-3 n(1)@3-4 n(2)@3-6 n(0)@1-1 n(1)@1-2 n(2)@1-4 n(3)@1-6 n(3)@3-8 n(4)@1-8"),
+    ],
+)
+def test_late_start_includes_earlier_repetitions(policy: str, expected: str) -> None:
+    rules, stream = "n(N) <- a seq aggregate(count, b, N).", "b@2 b@4 a@3 b@6 a@1 b@8"
+    assert outputs_of(rules, stream, policy, ["out_of_order"]) == expected
+    assert "n(1)@3-4" not in outputs_of(rules, stream, policy)
+
+
+def test_late_first_side_consumes_no_second_side() -> None:
+    rule, flags = "c(X) <- a forall_seq b(X).", ["out_of_order"]
+    assert (
+        outputs_of(rule, "b(1)@5 b(2)@6 a@2 a@3", "unrestricted", flags)
+        == "c(1)@2-5 c(2)@2-6 c(1)@3-5 c(2)@3-6"
+    )
+    assert outputs_of(rule, "b(1)@5 b(2)@6 a@2 a@3", "chronological", flags) == "c(1)@2-5 c(2)@3-6"
