@@ -12,8 +12,10 @@ from asserting_accessors import required
 from bags_and_program import SECOND, make_bag, make_program
 
 from retalis import BagReader
-from retalis.cli.bag_command import BagOutcome, BagTask, add_parser, play_bag
+from retalis.cli.bag_command import add_parser, play_bag
+from retalis.cli.bag_tasks import BagOutcome, BagTask
 from retalis.cli.many_bags_options import single_bag_options
+from retalis.cli.result_partitions import ResultTarget
 from retalis.cli.stderr_and_progress import MAX_BAG_TEXT_CHARACTERS
 from retalis.foundation.garbage_collection import stop_limiting_gc_pauses
 from retalis.playback.bag_locations import open_bag
@@ -48,7 +50,7 @@ def make_task(program: Any, bag: str, target: Any, result_format: Optional[str],
     add_parser(add_command)
     (parser,) = parsers
     arguments = parser.parse_args([str(bag), "--program", str(program), *options])
-    return BagTask(str(bag), str(target), result_format, single_bag_options(arguments))
+    return BagTask(str(bag), ResultTarget(str(target)), result_format, single_bag_options(arguments))
 
 
 @pytest.mark.slow

@@ -7,7 +7,7 @@ from typing import Any, Iterator
 import pytest
 from bags_and_program import make_bag, make_program
 
-from retalis.cli.bag_command import BagOutcome
+from retalis.cli.bag_tasks import BagOutcome
 from retalis.cli.command_line import main
 from retalis.cli.dask_cluster import ClusterError
 

@@ -15,6 +15,7 @@ from retalis.cli.result_manifest import (
     manifest_location,
     record_result,
 )
+from retalis.cli.result_partitions import ResultTarget
 
 INPUTS = {"retalis": version(), "program": "a", "options": "b"}
 OUTCOME = {"errors": 2, "stderr_text": "a warning"}
@@ -28,15 +29,15 @@ def manifests(tmp_path: Path) -> List[ResultManifest]:
         bag, target = tmp_path / f"{name}.bag", tmp_path / "out" / f"{name}.jsonl"
         bag.write_text("messages")
         place = manifest_location(f"{tmp_path}/out", target.name)
-        entries.append(ResultManifest(place, str(bag), str(target), INPUTS))
+        entries.append(ResultManifest(place, str(bag), ResultTarget(str(target)), INPUTS))
         record(entries[-1], tmp_path)
     return entries
 
 
 def record(manifest: ResultManifest, folder: Path, *files: str) -> None:
     def write() -> Any:
-        Path(manifest.target).parent.mkdir(exist_ok=True)
-        Path(manifest.target).write_text("result\n")
+        Path(manifest.target.head).parent.mkdir(exist_ok=True)
+        Path(manifest.target.head).write_text("result\n")
         return OUTCOME, files
 
     record_result(manifest, str(folder), write)
@@ -55,11 +56,11 @@ def change_bag(manifest: ResultManifest) -> None:
 
 
 def remove_result(manifest: ResultManifest) -> None:
-    os.unlink(manifest.target)
+    os.unlink(manifest.target.head)
 
 
 def shorten_result(manifest: ResultManifest) -> None:
-    Path(manifest.target).write_text("res")
+    Path(manifest.target.head).write_text("res")
 
 
 def remove_manifest(manifest: ResultManifest) -> None:

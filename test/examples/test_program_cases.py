@@ -18,6 +18,7 @@ PROGRAMS = [
     ROOT / "application_source",
     ROOT / "examples" / "fleet",
     ROOT / "examples" / "nao-tf",
+    ROOT / "examples" / "stops",
     *sorted(path.parent for path in (ROOT / "examples" / "cookbook").glob("*/eventRules.txt")),
 ]
 CALCULATIONS = {

@@ -14,7 +14,6 @@ import os
 import shutil
 import sys
 import threading
-from collections import deque
 from contextlib import ExitStack, closing, contextmanager, nullcontext, redirect_stderr, redirect_stdout
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -28,7 +27,6 @@ from typing import (
     Iterable,
     Iterator,
     List,
-    Mapping,
     NamedTuple,
     Optional,
     Sequence,
@@ -47,13 +45,11 @@ from ..foundation.interrupts import check_interrupt, interruptible
 from ..foundation.output_files import print_json
 from ..messages.type_definition import Definition, SerializationFormat
 from ..playback.bag_locations import (
-    BagLocation,
     MergedBag,
     find_bags,
     group_recordings,
     is_url,
     local_copy,
-    location_exists,
     remove_incomplete_results,
     result_file,
 )
@@ -63,16 +59,17 @@ from ..playback.playback import (
     Output,
     Playback,
     RunRecorder,
-    RunTable,
     make_incomplete_file_record,
     make_output_record,
 )
 from ..playback.rosbag1 import BagWriter
+from ..playback.run_tables import TABLE_TYPES, RunTable
 from ..playback.worker_pools import Unfinished, run_in_processes
 from ..prolog.syntax.event_text import to_text
 from ..prolog.syntax.term_reader import read_term
 from ..prolog.terms import timestamps
 from ..prolog.terms.types import Term, atom, functor
+from .bag_tasks import BagOutcome, BagTask, create_tasks
 from .command_options import (
     OPEN_HELP,
     add_chunk_limit_option,
@@ -100,8 +97,6 @@ from .many_bags_options import (
     add_many_bags_options,
     check_many_bags_options,
     requests_separate_runs,
-    select_format,
-    single_bag_options,
 )
 from .option_values import (
     RELATIVE_TIMES_OPTION,
@@ -112,12 +107,10 @@ from .option_values import (
 )
 from .optional_ros_imports import installed_definitions
 from .result_manifest import (
-    ResultManifest,
-    compute_inputs,
     find_whole_results,
-    manifest_location,
     record_result,
 )
+from .result_partitions import utc_day
 from .stderr_and_progress import (
     LimitedText,
     ProgressBar,
@@ -139,8 +132,7 @@ DESCRIPTION = """\
 Run a program over bags and print its outputs, as output(TERM,TOPIC) terms. Several bags are played as one,
 in the order of receipt.
 
-A ROS 2 bag is a folder with metadata.yaml, or its .db3, .mcap, .db3.zstd or .mcap.zstd file. Its messages are read as
-those of ROS 1.
+A ROS 2 bag is a folder with metadata.yaml, or its .db3, .mcap, .db3.zstd or .mcap.zstd file.
 
 With --jobs or --scheduler each bag is a separate run, several at a time. A folder stands for all bags below it,
 sorted by name; URLs such as s3://BUCKET/FOLDER are allowed. The output is in the order of the bags.
@@ -330,15 +322,6 @@ _OUTPUT_FUNCTOR = functor("output", 2)
 _TIMED_OUTPUT_FUNCTOR = functor("output", 3)
 """Functors of printed outputs: term, topic and optionally the time."""
 
-RecordHandler = Callable[[Mapping[str, Any]], None]
-"""Receives a record of a run, which is printed as JSON or written to a table."""
-
-
-def print_record(record: Mapping[str, Any]) -> None:
-    """Print a record of a run as JSON."""
-    # Not flushed, because a run can have many records.
-    print_json(record, flush=False)
-
 
 class PlayedRun(NamedTuple):
     """A finished run.
@@ -357,25 +340,28 @@ class PlayedRun(NamedTuple):
 def play(
     options: argparse.Namespace,
     reporter: StderrReporter,
-    write_record: RecordHandler = print_record,
+    table: Optional[RunTable] = None,
     state: Optional[bytes] = None,
     is_last: bool = True,
     location: Optional[str] = None,
+    bags: Optional[MergedBag] = None,
 ) -> PlayedRun:
     """Play the bags of the options as one recording.
 
     Args:
         options: options of the command.
         reporter: receives errors.
-        write_record: receives events and outputs if the options request JSON.
+        table: receives events and outputs; None to print them.
         state: snapshot of the program to continue from; None to start without state.
         is_last: whether no bag follows that continues these.
         location: URL of the only bag, which the options name as a local copy; None if it is no copy.
+        bags: the bags, if the caller has opened them.
     """
     with ExitStack() as stack:
         # The bags are opened before the program is loaded, because rules may name fields of types that only a bag
         # defines.
-        bags = stack.enter_context(open_bags(options))
+        if bags is None:
+            bags = stack.enter_context(open_bags(options))
         # Each line of output is JSON, so what goals print, also while the program is loaded, goes to standard error.
         output_format = _select_output_format(options)
         with redirect_stdout(sys.stderr) if options.json else nullcontext():
@@ -393,7 +379,7 @@ def play(
         if options.explain:
             record_origins(playback.engine)
         bar = stack.enter_context(show_progress("messages", lambda: elapsed_fraction(playback, bags)))
-        printer = _RunPrinter(options, playback, bar, write_record, bags.start)
+        printer = _RunPrinter(options, playback, bar, table, bags.start)
         # After the program is loaded: only the objects of the run are left to the collector.
         limit_gc_pauses()
         flush_time = timestamps.from_seconds(options.flush)
@@ -406,6 +392,8 @@ def play(
         if options.output is not None:
             writer = stack.enter_context(_open_output(options, playback, bags, incomplete_files))
         printer.print_incomplete_files(incomplete_files)
+        if table is not None:
+            table.begin(playback.published_types(), playback.definitions, bags.start, bags.end)
         for output in playback.run(bags, printer.advance, is_last, flush_time):
             check_interrupt()
             printer.print_output(output)
@@ -496,7 +484,7 @@ class _RunPrinter:
         options: argparse.Namespace,
         playback: Playback,
         bar: Optional[ProgressBar],
-        write_record: RecordHandler,
+        table: Optional[RunTable],
         start: int,
     ):
         self._options = options
@@ -504,7 +492,7 @@ class _RunPrinter:
         self._origin = TimeOrigin(start) if options.times == TIMES_RELATIVE else None
         self._engine = playback.engine
         self._bar = bar
-        self._write_record = write_record
+        self._table = table
         self._printer = Printer(options.json, False, None, self._origin)
         self._recorder: Optional[RunRecorder] = None
         if options.events and options.json:
@@ -530,7 +518,7 @@ class _RunPrinter:
         if self._options.quiet:
             return
         if self._options.json:
-            self._print_record(make_output_record(output))
+            self._print_record(make_output_record(output), output)
             return
         self._clear_bar()
         topic = atom(output.topic)
@@ -560,9 +548,14 @@ class _RunPrinter:
         self._clear_bar()
         self._printer.print_event(*event)  # type: ignore[arg-type]
 
-    def _print_record(self, record: RunRecord) -> None:
+    def _print_record(self, run_record: RunRecord, output: Optional[Output] = None) -> None:
         self._clear_bar()
-        self._write_record(record if self._origin is None else self._origin.relative_record(record))
+        record = run_record if self._origin is None else self._origin.relative_record(run_record)
+        if self._table is None:
+            # Not flushed, because a run can have many records.
+            print_json(record, flush=False)
+        else:
+            self._table.write(record, output)
 
     def _clear_bar(self) -> None:
         if self._bar is not None:
@@ -641,48 +634,6 @@ class _OutputWriter:
         self._write(self._connections[topic], output.time, output.data)
 
 
-class BagTask(NamedTuple):
-    """A bag to play.
-
-    Attributes:
-        location: path or URL of the bag.
-        target: path or URL for the result.
-        format: format of the result, one of `FORMATS`; None for the printed output.
-        options: the options of the command that apply to a single bag.
-        has_next_part: whether it is a part of a recording with a further part.
-        state: snapshot of the program after the previous part; None without one.
-        manifest: manifest of the result; None for the printed output.
-    """
-
-    location: str
-    target: str
-    format: Optional[str]
-    options: Dict[str, Any]
-    has_next_part: bool = False
-    state: Optional[bytes] = None
-    manifest: Optional[ResultManifest] = None
-
-
-class BagOutcome(NamedTuple):
-    """Outcome of a bag.
-
-    Attributes:
-        errors: number of errors during the run, which do not prevent a result.
-        stderr_text: text of errors and warnings.
-        failure: reason why there is no result; None if there is one.
-        state: snapshot of the program for the next part; None without one.
-        coverage: parts of the program with their uses; empty if the options do not request them.
-        is_incomplete: whether the bag was read up to a break only.
-    """
-
-    errors: int
-    stderr_text: str
-    failure: Optional[str] = None
-    state: Optional[bytes] = None
-    coverage: "Tuple[CoveredPart, ...]" = ()
-    is_incomplete: bool = False
-
-
 _PROCESS_LOCK = threading.Lock()
 """Lock of standard output and the reports, which exist once per process: a Dask worker may have several threads."""
 
@@ -713,15 +664,19 @@ def play_bag(task: BagTask, scratch: str) -> BagOutcome:
 
 def _play_bag(task: BagTask, scratch: str) -> Tuple[BagOutcome, List[str]]:
     """Play a bag and write its result; return the outcome, and the event files that the program has loaded."""
-    stderr, failure, bag, state = LimitedText(), "", task.location, None
+    stderr, failure, bag, state, day = LimitedText(), "", task.location, None, ""
     coverage: Tuple[CoveredPart, ...] = ()
     files: List[str] = []
     is_incomplete = False
     with _PROCESS_LOCK, redirect_stderr(stderr):
         reporter = StderrReporter().attach(show_events=True)
         try:
-            with local_copy(task.location, scratch) as bag, result_file(task.target, scratch) as result:
-                played = _play_to_file(result, bag, task, reporter)
+            with local_copy(task.location, scratch) as bag:
+                options = argparse.Namespace(**task.options, bags=[bag], output=None, overwrite=True)
+                with open_bags(options) as bags:
+                    day = utc_day(bags.start) if task.target.tail else ""
+                    with result_file(task.target.locate(day), scratch) as result:
+                        played = _play_to_file(result, bags, options, task, reporter)
                 coverage, is_incomplete = played.coverage, bool(played.incomplete_files)
                 files = sorted(map(str, played.playback.engine.program.rules.files.loaded))
                 state = played.playback.engine.snapshot() if task.has_next_part else None
@@ -735,27 +690,28 @@ def _play_bag(task: BagTask, scratch: str) -> Tuple[BagOutcome, List[str]]:
             restore_gc()
     # Messages name the bag as the user gave it, not the temporary copy of a URL.
     messages, failure = (text.replace(bag, task.location) for text in (stderr.getvalue(), failure))
-    outcome = BagOutcome(reporter.errors, messages, failure or None, state, coverage, is_incomplete)
+    outcome = BagOutcome(reporter.errors, messages, failure or None, state, coverage, is_incomplete, day)
     return outcome, files
 
 
-def _play_to_file(result: str, bag: str, task: BagTask, reporter: StderrReporter) -> PlayedRun:
-    """Play a bag into a file."""
-    options = argparse.Namespace(**task.options, bags=[bag], output=None, overwrite=True)
-    write_record: RecordHandler = print_record
+def _play_to_file(
+    result: str, bags: MergedBag, options: argparse.Namespace, task: BagTask, reporter: StderrReporter
+) -> PlayedRun:
+    """Play an open bag into a file."""
     with ExitStack() as stack:
         if task.format in BAG_FORMATS:
             # The recording has the outputs, so they are not printed.
             options.output, options.quiet = result, True
         elif task.format is not None:
             options.json = True
-        if task.format == "parquet":
-            write_record = stack.enter_context(RunTable(result, options.events)).write
+        table = None
+        if task.format in TABLE_TYPES:
+            table = stack.enter_context(TABLE_TYPES[task.format](result, task.labels, options.events))
         # Printed output becomes the result of the formats that consist of lines, and is discarded otherwise.
         printed_output_path = result if task.format in (None, "jsonl") else os.devnull
         file = stack.enter_context(open(printed_output_path, "w", encoding="utf-8"))
         stack.enter_context(redirect_stdout(file))
-        return play(options, reporter, write_record, task.state, not task.has_next_part, task.location)
+        return play(options, reporter, table, task.state, not task.has_next_part, task.location, bags)
 
 
 _TaskOutcome = Union[BagOutcome, Unfinished]
@@ -770,8 +726,8 @@ def play_separately(options: argparse.Namespace) -> int:
         scratch = stack.enter_context(TemporaryDirectory(prefix="retalis-"))
         bags = find_bags(options.bags)
         recordings = group_recordings(bags) if options.parts else [[bag] for bag in bags]
-        tasks, ready = _create_tasks(options, recordings, scratch)
-        stack.callback(remove_incomplete_results, _list_written_files(tasks))
+        tasks, ready = create_tasks(options, recordings, scratch)
+        stack.callback(_remove_incomplete_files, tasks)
         reporter = _OutcomeReporter(tasks, to_print=options.output is None)
         skipped_count = _skip_whole_results(tasks, ready, reporter) if options.resume else 0
 
@@ -805,9 +761,10 @@ def play_separately(options: argparse.Namespace) -> int:
         return reporter.finish()
 
 
-def _list_written_files(tasks: List[BagTask]) -> List[str]:
+def _remove_incomplete_files(tasks: List[BagTask]) -> None:
     manifests = [task.manifest.location for task in tasks if task.manifest is not None]
-    return [*(task.target for task in tasks), *manifests]
+    targets = {target for task in tasks for target in task.target.list_local_paths()}
+    remove_incomplete_results([*targets, *manifests])
 
 
 def _skip_whole_results(tasks: List[BagTask], ready: Deque[int], reporter: "_OutcomeReporter") -> int:
@@ -836,70 +793,6 @@ def _run_tasks(
     if options.scheduler and ready:
         return run_on_cluster(play_bag, tasks, cluster_options(options), listener, ready)
     return run_in_processes(play_bag, tasks, options.jobs or 1, scratch, listener.on_worker_death, ready)
-
-
-def _create_tasks(
-    options: argparse.Namespace, recordings: List[List[BagLocation]], scratch: str
-) -> Tuple[List[BagTask], Deque[int]]:
-    """Return all tasks in order, and the numbers of the tasks that can start: the first parts of recordings.
-
-    Raises:
-        UsageError: if two results would have the same name, or a result exists already.
-    """
-    result_format = select_format(options)
-    # The processes of a cluster may have other working directories.
-    absolute = os.path.abspath if options.scheduler else str
-
-    def shared_path(path_or_url: str) -> str:
-        return path_or_url if is_url(path_or_url) else absolute(path_or_url)
-
-    bag_options = single_bag_options(options)
-    bag_options["program"] = Path(absolute(options.program))
-    bag_options["msg"] = [Path(absolute(folder)) for folder in options.msg]
-    if options.answers is not None:
-        bag_options["answers"] = Path(absolute(options.answers))
-    bag_options["folder"] = [absolute(folder_name) for folder_name in options.folder]
-    inputs = None
-    if result_format is not None:
-        other_options = (result_format, options.parts)
-        inputs = compute_inputs(bag_options, other_options, options.output, options.any_version)
-    targets: Dict[str, str] = {}
-    tasks: List[BagTask] = []
-    ready: Deque[int] = deque()
-    for bags in recordings:
-        ready.append(len(tasks))
-        for position, bag in enumerate(bags):
-            if result_format is None:
-                # Printed output is collected in temporary files, so that it can be printed in the order of the
-                # bags.
-                target = os.path.join(scratch, str(len(tasks)))
-            else:
-                target = shared_path(f"{options.output.rstrip('/')}/{bag.name}.{result_format}")
-                _check_target(target, bag, targets, options.overwrite or options.resume)
-            targets[target] = bag.location
-            location, manifest = shared_path(bag.location), None
-            if inputs is not None:
-                # If parts are added or deleted, the others continue from another state, or have another end.
-                position_text = f"{position} of {len(bags)}"
-                place = shared_path(manifest_location(options.output, f"{bag.name}.{result_format}"))
-                manifest = ResultManifest(place, location, target, {**inputs, "position": position_text})
-            has_next_part = bag is not bags[-1]
-            tasks.append(
-                BagTask(location, target, result_format, bag_options, has_next_part, manifest=manifest)
-            )
-    return tasks, ready
-
-
-def _check_target(target: str, bag: BagLocation, targets: Dict[str, str], overwrite: bool) -> None:
-    if target in targets:
-        raise UsageError(
-            f"{targets[target]} and {bag.location}: the result of both would be {target}; "
-            "give the folder that both are below, or different ones to --output"
-        )
-    if not overwrite and location_exists(target):
-        raise UsageError(
-            f"{target} already exists; --overwrite replaces it, --resume keeps it if it is whole"
-        )
 
 
 class _OutcomeReporter:
@@ -955,16 +848,19 @@ class _OutcomeReporter:
                 self.coverage = merge_parts([self.coverage, outcome.coverage])
             self._report_messages(task, outcome.stderr_text)
         # A worker of a cluster may have written to a folder of its own machine with the same path.
-        if failure is None and not (self._to_print or is_url(task.target) or os.path.exists(task.target)):
-            failure = f"{task.target} is not seen here: this machine and the workers need to share its folder"
+        target = task.target.head
+        if isinstance(outcome, BagOutcome):
+            target = task.target.locate(outcome.day)
+        if failure is None and not (self._to_print or is_url(target) or os.path.exists(target)):
+            failure = f"{target} is not seen here: this machine and the workers need to share its folder"
         if failure is not None:
             self._failed_count += 1
             place = "" if failure.startswith(task.location) else f"{task.location}: "
             print(f"error: {place}{failure}", file=sys.stderr)
         elif self._to_print:
-            with open(task.target, encoding="utf-8") as file:
+            with open(target, encoding="utf-8") as file:
                 shutil.copyfileobj(file, sys.stdout)
-            os.unlink(task.target)
+            os.unlink(target)
 
     def _report_messages(self, task: BagTask, messages: str) -> None:
         """Print the errors and warnings of a bag, unless another bag had the same ones."""

@@ -6,12 +6,14 @@ from typing import Any, Dict, Optional
 
 from ..foundation.errors import UsageError
 from ..playback.bag_locations import is_folder_of_bags, is_url
-from .option_values import positive_integer
+from ..playback.run_tables import TABLE_TYPES
+from .option_values import TIMES_RELATIVE, positive_integer
+from .result_partitions import parse_partition, parse_robot
 
 BAG_FORMATS = ("bag", "mcap")
 """Formats of results that contain published messages: bags of ROS 1 and of ROS 2."""
 
-FORMATS = (*BAG_FORMATS, "parquet", "jsonl")
+FORMATS = (*BAG_FORMATS, *TABLE_TYPES, "jsonl")
 """Formats of the results of separate runs, and the suffixes of their files."""
 
 
@@ -22,6 +24,8 @@ _MANY_BAGS_OPTIONS = (
     "jobs",
     "parts",
     "format",
+    "partition",
+    "robot",
     "scheduler",
     "worker_timeout",
     "any_version",
@@ -47,8 +51,7 @@ def add_many_bags_options(parser: argparse.ArgumentParser) -> None:
     add(
         "--parts",
         action="store_true",
-        help="play the parts of a split recording, NAME_0.bag, NAME_1.bag ..., as one run: each continues with the "
-        "state of the former one",
+        help="play the parts of a split recording, NAME_0.bag, NAME_1.bag ..., as one run",
     )
     add(
         "--resume",
@@ -58,8 +61,20 @@ def add_many_bags_options(parser: argparse.ArgumentParser) -> None:
     add(
         "--format",
         choices=FORMATS,
-        help="format of the results in the folder or URL --output, one file per bag: a bag of the published "
-        "messages, or the output of --json, as lines or as Parquet (bag; with --json: jsonl)",
+        help="format of the results, one file per bag in the folder or URL --output (bag; with --json: jsonl)",
+    )
+    add(
+        "--partition",
+        type=parse_partition,
+        default=(),
+        metavar="KEYS",
+        help="place results in folders of day, robot or day,robot, as day=2026-11-30/robot=r07",
+    )
+    add(
+        "--robot",
+        type=parse_robot,
+        metavar="PATTERN",
+        help="name of the robot, or the end of the bags' paths with it, as {robot}/*/*.bag",
     )
 
 
@@ -77,7 +92,7 @@ def requests_separate_runs(options: argparse.Namespace) -> bool:
     """
     if options.jobs or options.scheduler:
         return True
-    for name in ("format", "parts", "resume"):
+    for name in ("format", "parts", "partition", "resume", "robot"):
         if getattr(options, name):
             raise UsageError(f"--{name} needs --jobs or --scheduler")
     for location in options.bags:
@@ -110,6 +125,12 @@ def check_many_bags_options(options: argparse.Namespace) -> None:
         )
     if result_format in BAG_FORMATS and options.events:
         raise UsageError("--events: a bag contains only published messages; use --format jsonl or parquet")
+    if options.times == TIMES_RELATIVE and result_format in TABLE_TYPES:
+        raise UsageError(f"--times=relative: --format {result_format} has times in UTC")
+    if "robot" in options.partition and options.robot is None:
+        raise UsageError("--partition robot needs --robot")
+    if options.robot is not None and "robot" not in options.partition and result_format not in TABLE_TYPES:
+        raise UsageError("--robot needs --format parquet or csv, or --partition robot")
     _check_printed_lines(options, result_format)
     _check_output(options)
 
@@ -120,7 +141,7 @@ def _check_output(options: argparse.Namespace) -> None:
     Raises:
         UsageError: if there are any.
     """
-    for name in ("format", "resume"):
+    for name in ("format", "partition", "resume", "robot"):
         if getattr(options, name) and not options.output:
             raise UsageError(f"--{name} needs --output")
     if options.output and not is_url(options.output):
@@ -138,7 +159,7 @@ def _check_printed_lines(options: argparse.Namespace, result_format: Optional[st
     Raises:
         UsageError: if there are any.
     """
-    if result_format in (*BAG_FORMATS, "parquet"):
+    if result_format in (*BAG_FORMATS, *TABLE_TYPES):
         for name, value, content in (
             ("explain", options.explain, "explanations"),
             ("open", options.prints_open, "open states and windows"),

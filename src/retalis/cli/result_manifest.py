@@ -8,6 +8,7 @@ manifest, and the version of retalis, the program, the options and the bag are t
 import json
 import os
 from collections import Counter
+from datetime import date
 from pathlib import Path
 from typing import (
     Any,
@@ -33,6 +34,7 @@ from ..playback.bag_locations import (
     result_file,
 )
 from .command_line import version
+from .result_partitions import ResultTarget
 
 _FOLDER = ".manifest"
 """Folder of the manifests in that of the results."""
@@ -50,13 +52,13 @@ class ResultManifest(NamedTuple):
     Attributes:
         location: path or URL of the manifest.
         bag: path or URL of the bag.
-        target: path or URL of the result.
+        target: path or URL of the result, which may contain the day of the bag.
         inputs: what the result depends on besides the bag, by name.
     """
 
     location: str
     bag: str
-    target: str
+    target: ResultTarget
     inputs: Dict[str, str]
 
 
@@ -140,6 +142,9 @@ def record_result(
     Raises:
         RetalisError: if the manifest cannot be written.
     """
+    if manifest.target.tail:
+        # The bag may have been replaced by one of another day, whose result would not replace the earlier one.
+        _remove_earlier_result(manifest)
     # Otherwise the manifest of an earlier result would describe the new one if the process is killed in between.
     remove_location(manifest.location)
     # Before the bag is read: a bag that changes meanwhile differs from the manifest.
@@ -152,11 +157,36 @@ def record_result(
         "inputs": {**manifest.inputs, "retalis": version()},
         "files": {path: _digest_file(Path(path)) for path in loaded_files},
         "bag": bag_files,
-        "size": _result_size(manifest.target),
+        "size": _result_size(manifest.target.locate(outcome.get("day", ""))),
         "outcome": outcome,
     }
     with result_file(manifest.location, scratch) as path:
         Path(path).write_text(json.dumps(content), encoding="utf-8")
+
+
+def _remove_earlier_result(manifest: ResultManifest) -> None:
+    """Remove the result that a manifest describes, if there is one.
+
+    Raises:
+        RetalisError: if it cannot be removed.
+    """
+    try:
+        content = json.loads(read_location(manifest.location) or "")
+        location = _find_result(manifest, content)
+    except (ValueError, KeyError, TypeError):
+        return
+    remove_location(location)
+
+
+def _find_result(manifest: ResultManifest, content: Mapping[str, Any]) -> str:
+    """Return the location of the result that the content of a manifest describes.
+
+    Raises:
+        ValueError, KeyError, TypeError: if the content lacks the day that is part of the location.
+    """
+    # Checked, because a file of the output folder must not name files elsewhere.
+    day = str(date.fromisoformat(content["outcome"]["day"])) if manifest.target.tail else ""
+    return manifest.target.locate(day)
 
 
 def _result_size(target: str) -> List[str]:
@@ -198,13 +228,14 @@ def find_whole_results(
 def _read_outcome(manifest: ResultManifest) -> Union[Mapping[str, Any], str]:
     """Return the outcome of a whole result, or the reason why it has to be computed."""
     try:
-        size = _result_size(manifest.target)
+        text = read_location(manifest.location)
+        if text is None:
+            is_found = not manifest.target.tail and _result_size(manifest.target.head)
+            return "a result without manifest" if is_found else _NO_RESULT
+        content = json.loads(text)
+        size = _result_size(_find_result(manifest, content))
         if not size:
             return _NO_RESULT
-        text = read_location(manifest.location)
-        content = None if text is None else json.loads(text)
-        if not isinstance(content, dict):
-            return "a result without manifest"
         for name, value in manifest.inputs.items():
             if content["inputs"].get(name) != value:
                 return f"other {name}"

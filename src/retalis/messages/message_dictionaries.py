@@ -46,7 +46,8 @@ def read_message_term(definition: Definition, term: Term) -> Dict[str, Any]:
     {'data': 'hello'}
     """
     message: Any = deref(term)
-    arguments = message[1:]
+    # A message without slots is an atom.
+    arguments = message[1:] if definition.fields else ()
     return {slot.name: _read_slot(slot, argument) for slot, argument in zip(definition.fields, arguments)}
 
 

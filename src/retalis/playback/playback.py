@@ -13,10 +13,9 @@ If the program reads transforms, the messages of ``/tf`` and ``/tf_static`` are 
 computes in Python here even if tf2 is installed: a bag gives the same results on every machine.
 
 A `RunRecorder` observes a playback and creates flat records of its events, outputs, waiting queries and memories.
-They are written as JSON lines, drawn as a timeline, or written to a Parquet file by `RunTable`, one row per record.
+They are written as JSON lines, drawn as a timeline, or written to a table, one row per record; see `run_tables`.
 """
 
-import json
 import logging
 from collections import Counter
 from contextlib import nullcontext
@@ -32,7 +31,6 @@ from typing import (
     Iterable,
     Iterator,
     List,
-    Mapping,
     NamedTuple,
     Optional,
     Set,
@@ -87,9 +85,8 @@ from ..prolog.syntax.term_writer import canonical_text
 from ..prolog.terms.types import Term
 from .bag_locations import Bag
 from .bag_transport import BagTransport, RefusedConnection, list_topic_names
-from .decompression import describe_error
 from .incomplete_files import IncompleteFile
-from .rosbag1 import BagError, PathLike, Record, Topic
+from .rosbag1 import Record, Topic
 
 log = logging.getLogger("retalis")
 
@@ -449,6 +446,14 @@ class Playback:
             return quality._replace(is_transient_local=self.is_latched(topic))
         return quality
 
+    def published_types(self) -> Dict[str, Definition]:
+        """Return the known message types of the program's output topics, by the full names of the topics.
+
+        >>> list(Playback(folder, report=print).published_types())
+        ['/echo']
+        """
+        return {topic: publication.definition for topic, publication in self._transport.publications.items()}
+
     def _convert_messages(
         self, records: Iterable[Any], count_message: Callable[[], object]
     ) -> Iterator[Tuple[Any, Optional[int]]]:
@@ -746,107 +751,3 @@ def make_incomplete_file_record(file: IncompleteFile) -> IncompleteFileRecord:
         missing_bytes=file.missing_bytes,
         end=file.end,
     )
-
-
-_ROW_GROUP_SIZE = 10_000
-"""Number of rows in a row group."""
-
-_OUTPUT_COLUMNS = {"output": "text", "topic": "text", "id": "text", "time": "instant"}
-_OTHER_COLUMNS = {
-    "event": "text",
-    "start": "instant",
-    "end": "instant",
-    "wait": "text",
-    "memories": "texts",
-    "memory": "text",
-    "pattern": "text",
-    "size": "number",
-    "records": "number",
-    "taken": "number",
-}
-"""Columns of outputs, and the additional columns of other records."""
-
-INCOMPLETE_FILES_KEY = "retalis.incomplete_files"
-"""Key of the metadata of a Parquet file with the incomplete files of the bag, a JSON list of records."""
-
-
-class RunTable:
-    """A new Parquet file with the records of a playback; a context manager. The file is complete when it is closed.
-
-    Records of incomplete files, which come before others, become metadata of the file.
-
-    Args:
-        path: path of the file; an existing file is replaced.
-        events: whether there are records other than outputs.
-
-    Raises:
-        BagError: if the Python package pyarrow is not available.
-    """
-
-    def __init__(self, path: PathLike, events: bool):
-        try:
-            import pyarrow  # noqa: PLC0415 - an optional package
-            from pyarrow import parquet  # noqa: PLC0415
-        except ImportError as error:  # also raised by a pyarrow that does not fit the installed numpy
-            raise BagError(
-                f"writing Parquet needs the Python package pyarrow (pip install pyarrow): {describe_error(error)}"
-            ) from None
-        arrow_types = {
-            "text": pyarrow.string(),
-            "texts": pyarrow.list_(pyarrow.string()),
-            "number": pyarrow.int64(),
-            "instant": pyarrow.timestamp("ns", tz="UTC"),
-        }
-        columns: Dict[str, str] = {**_OUTPUT_COLUMNS, **(_OTHER_COLUMNS if events else {})}
-        self._arrow: Any = pyarrow
-        self._schema: Any = pyarrow.schema(
-            [(name, arrow_types[column_type]) for name, column_type in columns.items()]
-        )
-        self._create_writer: Callable[[], Any] = lambda: parquet.ParquetWriter(str(path), self._schema)
-        self._writer: Any = None
-        self._incomplete_files: List[Mapping[str, Any]] = []
-        self._records: List[Mapping[str, Any]] = []
-
-    def write(self, record: Mapping[str, Any]) -> None:
-        """Write a record as a row, or into the metadata of the file."""
-        if "incomplete" in record:
-            self._incomplete_files.append(record)
-            return
-        self._records.append(record)
-        if len(self._records) >= _ROW_GROUP_SIZE:
-            self._flush()
-
-    def _open_writer(self) -> None:
-        """Create the file, whose metadata is complete."""
-        if self._writer is None:
-            if self._incomplete_files:
-                self._schema = self._schema.with_metadata(
-                    {INCOMPLETE_FILES_KEY: json.dumps(self._incomplete_files)}
-                )
-            self._writer = self._create_writer()
-
-    def _flush(self) -> None:
-        self._open_writer()
-        # Column by column, as Parquet stores them; a missing field becomes null.
-        columns = [
-            self._arrow.array([record.get(field.name) for record in self._records], field.type)
-            for field in self._schema
-        ]
-        self._writer.write_table(self._arrow.Table.from_arrays(columns, schema=self._schema))
-        self._records.clear()
-
-    def close(self) -> None:
-        """Write the remaining rows and the index."""
-        try:
-            self._open_writer()
-            if self._records:
-                self._flush()
-        finally:
-            if self._writer is not None:
-                self._writer.close()
-
-    def __enter__(self) -> "RunTable":
-        return self
-
-    def __exit__(self, *raised: object) -> None:
-        self.close()
