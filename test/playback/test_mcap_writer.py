@@ -100,13 +100,10 @@ def test_type_with_other_slots_in_ros2_is_warned_of(
     tmp_path: Path, caplog: pytest.LogCaptureFixture, type_name: str, warns: bool
 ) -> None:
     write_bag(tmp_path / "a.mcap", type_name)
-    assert [record.getMessage().partition(":")[2] for record in caplog.records] == (
-        [
-            " visualization_msgs/Marker has other slots in ROS 2: 'ros2 bag play' needs the type of ROS 2 "
-            "(--msg FOLDER); other tools read the messages by the definition in the file"
-        ]
-        if warns
-        else []
+    texts = [record.getMessage() for record in caplog.records]
+    assert len(texts) == warns
+    assert all(
+        text.startswith(f"topic /topic: {type_name} has other slots in ROS 2 Humble, Iron") for text in texts
     )
 
 

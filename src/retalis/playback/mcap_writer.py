@@ -7,7 +7,7 @@ itself. A folder with ``metadata.yaml`` would repeat its contents, and cannot be
 
 import json
 from pathlib import Path
-from typing import Any, BinaryIO, Dict, Iterator, List, Mapping, Optional, Sequence, Tuple
+from typing import Any, BinaryIO, Dict, List, Mapping, Optional, Sequence, Tuple
 
 from ..events.program.topic_configuration import QualityOfService
 from ..messages.cdr_decoder import cdr_slots
@@ -99,12 +99,14 @@ class McapWriter(NewBag):
         if definition.full_text not in self._schemas:
             text = format_ros2_text(definition).encode()
             self._schemas[definition.full_text] = self._writer.register_schema(type_name, "ros2msg", text)
-            if _has_other_slots_in_ros2(definition):
+            versions = _list_versions_with_other_slots(definition)
+            if versions:
                 log.warning(
-                    "topic %s: %s has other slots in ROS 2: 'ros2 bag play' needs the type of ROS 2 (--msg FOLDER); "
-                    "other tools read the messages by the definition in the file",
+                    "topic %s: %s has other slots in ROS 2 %s: 'ros2 bag play' needs that type "
+                    "(--msg FOLDER), other tools use the definition in the file",
                     topic,
                     definition.name,
+                    ", ".join(versions),
                 )
         offer = _QUALITY_TEMPLATE.format(
             depth=quality.depth or (1 if quality.is_transient_local else _DEFAULT_DEPTH),
@@ -125,24 +127,20 @@ class McapWriter(NewBag):
             self._writer.add_message(topic, time, data, time)
 
 
-def _has_other_slots_in_ros2(definition: Definition) -> bool:
-    """Return whether a type of this name is one of ROS 2, and has other slots in all versions since Humble."""
-    texts = list(_find_ros2_texts(ros2_type_name(definition.name)))
-    layout = _list_slot_types(definition)
-    return bool(texts) and all(
-        _list_slot_types(parse_ros2_type(definition.name, text, lambda name: None)) != layout
-        for text in texts
-    )
-
-
-def _find_ros2_texts(name: str) -> Iterator[str]:
-    """Yield the definitions of a type in the versions of ROS 2 since Humble, the newest first."""
+def _list_versions_with_other_slots(definition: Definition) -> List[str]:
+    """Return the versions of ROS 2 since Humble that have a type of this name with other slots."""
     typesys = import_rosbags("typesys")
+    name = ros2_type_name(definition.name)
+    layout = _list_slot_types(definition)
     stores = [store for store in typesys.Stores if store.name.startswith("ROS2_")]
-    for store in reversed(stores[stores.index(typesys.Stores.ROS2_HUMBLE) :]):
+    versions = []
+    for store in stores[stores.index(typesys.Stores.ROS2_HUMBLE) :]:
         types = typesys.get_typestore(store)
         if name in types.types:
-            yield str(types.generate_msgdef(name, ros_version=2)[0])
+            text, _ = types.generate_msgdef(name, ros_version=2)
+            if _list_slot_types(parse_ros2_type(name, text, lambda nested: None)) != layout:
+                versions.append(store.name[len("ROS2_") :].capitalize())
+    return versions
 
 
 def _list_slot_types(definition: Definition) -> List[Tuple[Any, ...]]:
