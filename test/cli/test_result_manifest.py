@@ -59,8 +59,9 @@ def remove_result(manifest: ResultManifest) -> None:
     os.unlink(manifest.target.head)
 
 
-def shorten_result(manifest: ResultManifest) -> None:
-    Path(manifest.target.head).write_text("res")
+def change_result(manifest: ResultManifest) -> None:
+    """Replace the result by another text of the same length."""
+    Path(manifest.target.head).write_text("RESULT\n")
 
 
 def remove_manifest(manifest: ResultManifest) -> None:
@@ -74,7 +75,7 @@ def damage_manifest(manifest: ResultManifest) -> None:
 CHANGES = {
     "other bag": change_bag,
     "no result": remove_result,
-    "a changed result": shorten_result,
+    "a changed result": change_result,
     "a result without manifest": remove_manifest,
     "an unreadable manifest": damage_manifest,
 }

@@ -1,8 +1,9 @@
 """Manifests of results, for option ``--resume``: what each result was computed from.
 
 The manifest of ``OUTPUT/r1/day.jsonl`` is ``OUTPUT/.manifest/r1/day.jsonl.json``. The process that has computed the
-result writes it, so that a run whose client has ended can be resumed. A result is whole if its size is that in the
-manifest, and the version of retalis, the program, the options and the bag are those of the manifest.
+result writes it, so that a run whose client has ended can be resumed. A result is whole if its content is that of the
+manifest, and so are the version of retalis, the program, the options and the bag. The content of a file is known by
+its digest, which takes 2 ms a megabyte, and that of an object at a URL by its size and ETag.
 """
 
 import json
@@ -28,7 +29,10 @@ from typing import (
 from ..foundation.errors import RetalisError
 from ..playback.bag_locations import (
     BAG_SUFFIXES,
+    CONTENT_KEYS,
+    is_url,
     list_file_versions,
+    location_exists,
     read_location,
     remove_location,
     result_file,
@@ -41,6 +45,8 @@ _FOLDER = ".manifest"
 
 _MAX_DIGEST_BYTES = 1 << 20
 """Size up to which a file of a program counts by its contents; a larger one by its size and time of modification."""
+
+_BLOCK_BYTES = 1 << 20
 
 _PROGRAM_OPTIONS = ("program", "msg", "answers")
 """Options whose values are paths of files that are read: the contents count, not the paths."""
@@ -157,7 +163,7 @@ def record_result(
         "inputs": {**manifest.inputs, "retalis": version()},
         "files": {path: _digest_file(Path(path)) for path in loaded_files},
         "bag": bag_files,
-        "size": _result_size(manifest.target.locate(outcome.get("day", ""))),
+        "result": _describe_result(manifest.target.locate(outcome.get("day", ""))),
         "outcome": outcome,
     }
     with result_file(manifest.location, scratch) as path:
@@ -189,8 +195,17 @@ def _find_result(manifest: ResultManifest, content: Mapping[str, Any]) -> str:
     return manifest.target.locate(day)
 
 
-def _result_size(target: str) -> List[str]:
-    return [size for _, size, _ in list_file_versions(target)]
+def _describe_result(target: str) -> List[List[str]]:
+    """Return what changes with the content of a result."""
+    if is_url(target):
+        return [[size, tag] for _, size, tag in list_file_versions(target, CONTENT_KEYS)]
+    from hashlib import sha256  # noqa: PLC0415 - see `_digest`
+
+    digest = sha256()
+    with open(target, "rb") as file:
+        for block in iter(lambda: file.read(_BLOCK_BYTES), b""):
+            digest.update(block)
+    return [[digest.hexdigest()]]
 
 
 _NO_RESULT = "no result"
@@ -230,11 +245,11 @@ def _read_outcome(manifest: ResultManifest) -> Union[Mapping[str, Any], str]:
     try:
         text = read_location(manifest.location)
         if text is None:
-            is_found = not manifest.target.tail and _result_size(manifest.target.head)
+            is_found = not manifest.target.tail and location_exists(manifest.target.head)
             return "a result without manifest" if is_found else _NO_RESULT
         content = json.loads(text)
-        size = _result_size(_find_result(manifest, content))
-        if not size:
+        result = _find_result(manifest, content)
+        if not location_exists(result):
             return _NO_RESULT
         for name, value in manifest.inputs.items():
             if content["inputs"].get(name) != value:
@@ -243,9 +258,10 @@ def _read_outcome(manifest: ResultManifest) -> Union[Mapping[str, Any], str]:
             return "other program"
         if content["bag"] != list_file_versions(manifest.bag):
             return "other bag"
-        if content["size"] != size:
+        # Last, because the whole result is read.
+        if content["result"] != _describe_result(result):
             return "a changed result"
         outcome: Mapping[str, Any] = dict(content["outcome"])
-    except (RetalisError, ValueError, KeyError, TypeError, AttributeError):
+    except (RetalisError, OSError, ValueError, KeyError, TypeError, AttributeError):
         return "an unreadable manifest"
     return outcome

@@ -272,8 +272,19 @@ def location_exists(location: str) -> bool:
     return bool(_call_filesystem(location, filesystem.exists, path))
 
 
-def list_file_versions(location: str) -> List[List[str]]:
+_VERSION_KEYS = ("ETag", "etag", "md5Hash", "mtime", "LastModified", "last_modified", "created")
+"""Names that the file systems of fsspec use for what changes with a file."""
+
+CONTENT_KEYS = _VERSION_KEYS[:3]
+"""Those that a copy of a file has, too."""
+
+
+def list_file_versions(location: str, keys: Sequence[str] = _VERSION_KEYS) -> List[List[str]]:
     """Return name, size, and time of modification or ETag of each file of a bag or result; empty if there is none.
+
+    Args:
+        location: path or URL.
+        keys: entries of a file's description that are returned of a file at a URL, as far as there are any.
 
     Raises:
         BagError: if a URL cannot be accessed.
@@ -286,7 +297,7 @@ def list_file_versions(location: str) -> List[List[str]]:
             return []
         files = _call_filesystem(location, filesystem.find, path, detail=True)
         return [
-            [name, str(info.get("size")), str([info[key] for key in _VERSION_KEYS if key in info])]
+            [name, str(info.get("size")), str([info[key] for key in keys if key in info])]
             for name, info in sorted(files.items())
         ]
     local_path = Path(location)
@@ -302,10 +313,6 @@ def list_file_versions(location: str) -> List[List[str]]:
         if file.is_file():
             versions.append([file.name, str(status.st_size), str(status.st_mtime_ns)])
     return versions
-
-
-_VERSION_KEYS = ("ETag", "etag", "md5Hash", "mtime", "LastModified", "last_modified", "created")
-"""Names that the file systems of fsspec use for what changes with a file."""
 
 
 def read_location(location: str) -> Optional[str]:
