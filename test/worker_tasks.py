@@ -2,18 +2,23 @@
 
 import os
 import signal
+import time
 from pathlib import Path
 from typing import Any
 
 
 def run_task(task: Any, scratch: Any) -> Any:
-    """Return this process's number for `pid`; otherwise kill the process.
+    """Return this process's number for `pid`, and wait for a file for `wait NAME`; otherwise kill the process.
 
     `die NAME` kills it each time. Any other task kills it at the first attempt and is returned at the second.
     """
     action, _, name = task.partition(" ")
     if action == "pid":
         return os.getpid()
+    if action == "wait":
+        while not Path(scratch, name).exists():
+            time.sleep(0.01)
+        return name
     has_failed_before = Path(scratch, name).exists()
     if action == "die" or not has_failed_before:
         Path(scratch, name).touch()

@@ -64,8 +64,8 @@ def test_log_has_line_each_minute() -> None:
         bar(round(share * 100))
         bar.clear()
     assert output.getvalue().splitlines() == [
-        "2% 2 bags, 2.0/min, 49:00 left; 2 workers",
-        "4% 4 bags, 2.0/min, 48:00 left; 2 workers",
+        "2% 2 bags in 1:00, 2.0/min, 49:00 left; 2 workers",
+        "4% 4 bags in 2:00, 2.0/min, 48:00 left; 2 workers",
     ]
 
 

@@ -49,6 +49,18 @@ def test_task_of_dead_worker_is_retried_up_to_limit(tmp_path: Path) -> None:
     assert sorted(deaths) == [(1, "by SIGKILL")] * (MAX_WORKER_DEATHS - 1) + [(2, "by SIGKILL")]
 
 
+def test_long_task_is_polled(tmp_path: Path) -> None:
+    results = run_in_processes(
+        run_task,
+        ["wait poll"],
+        1,
+        str(tmp_path),
+        lambda number, reason: fail(reason),
+        on_poll=lambda: (tmp_path / "poll").touch(),
+    )
+    assert list(results) == [(0, "poll")]
+
+
 def test_workers_end_with_killed_parent() -> None:
     """Workers inherit the standard output of the killed process: it is at its end if no worker is left."""
     script = (

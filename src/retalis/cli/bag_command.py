@@ -739,7 +739,9 @@ def play_separately(options: argparse.Namespace) -> int:
             show_long_progress("bags", lambda: count() / (len(tasks) - skipped_count or 1))
         )
         listener = make_listener(bar, lambda number: tasks[number].location, "played", count)
-        outcomes = stack.enter_context(closing(_run_tasks(options, tasks, ready, scratch, listener)))
+        outcomes = stack.enter_context(
+            closing(_run_tasks(options, tasks, ready, scratch, listener, lambda: bar(count())))
+        )
         try:
             for number, outcome in outcomes:
                 bar.clear()
@@ -788,11 +790,14 @@ def _run_tasks(
     ready: Deque[int],
     scratch: str,
     listener: ClusterListener,
+    update_bar: Callable[[], object],
 ) -> Generator[Tuple[int, _TaskOutcome], None, None]:
     # A cluster is not needed if all results are whole.
     if options.scheduler and ready:
         return run_on_cluster(play_bag, tasks, cluster_options(options), listener, ready)
-    return run_in_processes(play_bag, tasks, options.jobs or 1, scratch, listener.on_worker_death, ready)
+    return run_in_processes(
+        play_bag, tasks, options.jobs or 1, scratch, listener.on_worker_death, ready, update_bar
+    )
 
 
 class _OutcomeReporter:

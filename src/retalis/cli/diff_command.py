@@ -215,7 +215,14 @@ def _run_on_workers(
             outcomes = run_on_cluster(_compare_bag, tasks, cluster_options(options), listener)
         else:
             jobs = options.jobs or os.cpu_count() or 1
-            outcomes = run_in_processes(_compare_bag, tasks, jobs, scratch, listener.on_worker_death)
+            outcomes = run_in_processes(
+                _compare_bag,
+                tasks,
+                jobs,
+                scratch,
+                listener.on_worker_death,
+                on_poll=lambda: bar(len(results)),
+            )
         try:
             for number, outcome in stack.enter_context(closing(outcomes)):
                 if isinstance(outcome, Unfinished):

@@ -189,8 +189,12 @@ class ProgressBar:
         remaining = f", {_format_duration(seconds * (1 - fraction) / fraction)} left" if fraction else ""
         rate = _format_rate(completed_count / seconds) if seconds else "-/s"
         bar = "" if self._is_log else f" [{'#' * filled}{'.' * (BAR_WIDTH - filled)}]"
+        # The lines of a log differ also while one item takes long.
+        elapsed = f" in {_format_duration(seconds)}" if self._is_log else ""
         state = f"; {self.state}" if self.state else ""
-        return f"{fraction:4.0%}{bar} {completed_count:,} {self._item_name}, {rate}{remaining}{state}"
+        return (
+            f"{fraction:4.0%}{bar} {completed_count:,} {self._item_name}{elapsed}, {rate}{remaining}{state}"
+        )
 
     def clear(self) -> None:
         """Erase the bar, so that other text may be printed; the next update draws it again."""

@@ -28,6 +28,9 @@ from ..foundation.interrupts import interruptible
 MAX_WORKER_DEATHS = 4
 """Number of worker deaths after which a task is given up."""
 
+_POLL_SECONDS = 1.0
+"""Time without a result after which ``on_poll`` is called."""
+
 Task = TypeVar("Task")
 Result = TypeVar("Result")
 
@@ -52,6 +55,7 @@ def run_in_processes(
     scratch: str,
     on_worker_death: Callable[[int, str], object],
     ready: Optional[Deque[int]] = None,
+    on_poll: Callable[[], object] = lambda: None,
 ) -> "TaskResults[Result]":
     """Run tasks in processes of this machine, which end when the generator is closed.
 
@@ -65,6 +69,7 @@ def run_in_processes(
         scratch: folder for temporary files.
         on_worker_death: called with the index of each task that is repeated, and a description of its worker's death.
         ready: indexes of the tasks to run, all by default. The consumer may add indexes while it iterates.
+        on_poll: called once a second while no task ends.
     """
     pending = deque(range(len(tasks))) if ready is None else ready
     deaths: Dict[int, int] = Counter()
@@ -79,7 +84,9 @@ def run_in_processes(
                 busy[worker.connection] = worker
                 worker.send_task(pending.popleft(), tasks)
             with interruptible():
-                ready_connections = wait([worker.connection for worker in busy.values()])
+                ready_connections = wait([worker.connection for worker in busy.values()], _POLL_SECONDS)
+            if not ready_connections:
+                on_poll()
             for connection in ready_connections:
                 worker = busy.pop(connection)
                 index, result = worker.task_index, worker.receive_result()
