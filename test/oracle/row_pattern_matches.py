@@ -9,7 +9,7 @@ from typing import Any, Callable, Iterator, List, NamedTuple, Optional, Sequence
 
 from retalis import Atom, Term, Var, atom, list_items, make_list
 
-from .goals import Bindings, first, instance, value_of
+from .goals import Bindings, first, instance, number, value_of
 from .matches import EMPTY_RESULTS, RESULTS
 
 Assignment = Tuple[Tuple[int, int], ...]
@@ -233,22 +233,25 @@ class Trial:
         for part in conjuncts(goal):
             missing: List[bool] = []
 
-            def past(
-                kind: str, name: str, var: Optional[Var], number: int, missing: List[bool] = missing
-            ) -> Term:
+            def past(kind: str, name: str, value: Term, distance: int, missing: List[bool] = missing) -> Term:
                 is_all = kind == "prev" or name == "match"
                 places = [place for place, other in assigned if is_all or self._is(other, name, step)]
                 if kind in AGGREGATES:
                     # The current item counts, as if the step of the condition matched it.
                     places += [position] if is_all or self._is(step, name, step) else []
-                    values = [instance(var or NONE, self.items[place]) for place in places]
+                    values = [
+                        instance(value, self.items[place])
+                        if value.__class__ in (Atom, Var)
+                        else number(value, self.items[place])
+                        for place in places
+                    ]
                     result = RESULTS[kind](values) if values else EMPTY_RESULTS.get(kind)
                     missing += [] if result is not None else [True]
                     return NONE if result is None else result
-                if len(places) < number:
+                if len(places) < distance:
                     missing.append(True)
-                    return var or NONE
-                return instance(var or NONE, self.items[places[0 if kind == "first" else -number]])
+                    return value
+                return instance(value, self.items[places[0 if kind == "first" else -distance]])
 
             condition = insert_past_values(part, past)
             if missing:
@@ -268,7 +271,7 @@ def conjuncts(goal: Term) -> List[Term]:
     return [goal]
 
 
-def insert_past_values(term: Term, past: Callable[[str, str, Optional[Var], int], Term]) -> Term:
+def insert_past_values(term: Term, past: Callable[[str, str, Term, int], Term]) -> Term:
     """Return a condition in which references to earlier items are replaced by their values."""
     term = value_of(term, {})
     if term.__class__ is not tuple:
@@ -279,7 +282,8 @@ def insert_past_values(term: Term, past: Callable[[str, str, Optional[Var], int]
     if name == "prev" and len(args) == 2:
         return past(name, "", args[0], args[1])
     if name == "count":
-        return past(name, args[0].name, None, 1)
-    if name in ("prev", "first", "last", *AGGREGATES) and args[-1].__class__ is Var and len(args) <= 2:
+        return past(name, args[0].name, NONE, 1)
+    is_past = name in ("prev", "first", "last") and args[-1].__class__ is Var
+    if len(args) <= 2 and (is_past or name in AGGREGATES):
         return past(name, args[0].name if len(args) == 2 else "", args[-1], 1)
     return (term[0], *(insert_past_values(argument, past) for argument in args))

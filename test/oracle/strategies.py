@@ -453,8 +453,7 @@ class Generator:
             counted = functor("count", 1)(atom(self.choice([*names, "match"])))
             return functor(self.choice(["==", "@<", "@>"]), 2)(counted, self.choice([1, 2, 3]))
         elif kind in aggregates:
-            name = self.choice(["", *names, "match"])
-            other = functor(kind, 2)(atom(name), var) if name else functor(kind, 1)(var)
+            return self.aggregate_condition(kind, bound, names)
         elif kind == "prev":
             other = (
                 functor("prev", 2)(var, self.choice([1, 2, 3]))
@@ -467,6 +466,17 @@ class Generator:
             other = functor(kind, 1)(var)
         goal = functor(self.choice(["==", "\\==", "@<", "@>", "@>"]), 2)(var, other)
         return functor(",", 2)(goal, self.step_condition(bound, names)) if self.chance(20) else goal
+
+    def aggregate_condition(self, kind: str, bound: List[Var], names: List[str]) -> Term:
+        """Draw a condition of a step with an aggregate of a variable, or in arithmetic of an expression."""
+        value: Term = self.choice(bound)
+        comparisons = ["==", "\\==", "@<", "@>", "@>"]
+        if self.chance(40):
+            value = functor(self.choice(["*", "-"]), 2)(value, self.choice([2, self.choice(bound)]))
+            comparisons = ["<", ">", "=<"]
+        name = self.choice(["", *names, "match"])
+        aggregate = functor(kind, 2)(atom(name), value) if name else functor(kind, 1)(value)
+        return functor(self.choice(comparisons), 2)(self.choice(bound), aggregate)
 
     def shaped(self, depth: int, left: Tuple[Var, ...]) -> Pattern:
         """Draw a pattern with matches that only partly continue."""

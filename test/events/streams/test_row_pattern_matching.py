@@ -278,6 +278,12 @@ def test_invalid_option_of_steps_is_refused(options: str, message: str) -> None:
         ("a(2), b where X < min(match, X) + 1", "s([4,9,1])@3-5"),
         ("a(3, many) where X > prev(X, 2)", "s([1,2,3,4,9])@0-5"),
         ("a(3, many) where stddev(X) < 1.1", "s([1,2,3])@0-3 s([1,2,0])@5-8"),
+        ("a(1, many) where avg(X * 2) < 6", "s([1,2,3,4])@0-4 s([1,2,0,8])@5-9"),
+        ("a(1, many, until(sum(X - 1) > 3))", "s([1,2,3])@0-3 s([4])@3-4 s([1,2,0])@5-8"),
+        ("a(2), b where X > max(a, 2 * X) + 1", "s([2,0,8])@6-8"),
+        ("a(2), b where X > 2 + max(match, X / 2)", "s([3,4,9])@2-4 s([2,0,8])@6-8"),
+        ("a(1, many) where max(t2) - min(t1) < 3", "s([1,2,3])@0-3 s([4,9,1])@3-6 s([2,0,8])@6-9"),
+        ("a(1, many) where sum(t2 - t1 + 1) =< 3", "s([1,2,3])@0-3 s([4,9,1])@3-6 s([2,0,8])@6-9"),
     ],
 )
 def test_condition_uses_aggregates_and_distant_events(steps: str, expected: str) -> None:
@@ -298,6 +304,13 @@ def test_value_that_cannot_be_aggregated_refuses_event() -> None:
     assert "at event e(x): aggregate avg: the value is 'x': expected a number" in str(error)
 
 
+def test_expression_without_value_refuses_event_of_its_step_only() -> None:
+    program = ProgramRunner(STARS.format("a where X == on, b(1, many) where avg(b, 2 * X) < 9"))
+    assert program.feed("e(on)@1 e(1)@2 e(x)@3 e(3)@4 e(90)@5") == "s([on,1,3])@1-5"
+    (error,) = program.errors
+    assert "at event e(x): aggregate avg: the value is '2*x': expected a number" in str(error)
+
+
 @pytest.mark.parametrize(
     ("condition", "message"),
     [
@@ -305,7 +318,16 @@ def test_value_that_cannot_be_aggregated_refuses_event() -> None:
         ("X > prev(X, 101)", r"prev\(X, N\) needs a number of events from 1 to 100"),
         ("X > avg(c, X)", "unknown step; the steps are a, b"),
         ("count(c) > 1", "unknown step; the steps are a, b"),
-        ("X > avg(Y)", "avg needs a variable that the pattern binds"),
+        ("X > avg(Y)", "avg needs an expression of variables that the pattern binds"),
+        ("X > avg(X * Y)", "avg needs an expression of variables that the pattern binds"),
+        ("X > avg(foo)", "avg needs an expression of variables that the pattern binds"),
+        ("X > sum(X - prev(X))", "prev cannot be in the expression of sum"),
+        ("X > sum(a, X + avg(X))", "avg cannot be in the expression of sum"),
+        (
+            "X > median(X)",
+            "median is no aggregate of conditions of steps: expected count, sum, avg",
+        ),
+        ("X > quantile(0.5, X)", "quantile is no aggregate of conditions of steps"),
     ],
 )
 def test_invalid_navigation_is_refused(condition: str, message: str) -> None:
@@ -391,7 +413,7 @@ def test_invalid_group_is_refused(steps: str, message: str) -> None:
     [
         ("a, b where X > prev(Y)", "prev(Y)", "prev needs a variable that the pattern binds"),
         ("a, b where X > prev(X + 1)", "prev(X + 1)", "prev needs a variable that the pattern binds"),
-        ("a, b where X > 2 + avg(a, X * 2)", "avg(a", "avg needs a variable that the pattern binds"),
+        ("a, b where X > 2 + avg(a, Y * 2)", "avg(a", "avg needs an expression of variables"),
         ("a, b where X > first(top, X)", "top", "unknown step; the steps are a, b"),
         ("start, b where X > first(strat, X)", "strat", "the steps are start, b; did you mean start?"),
         ("a, group([b, c], 2, 1)", "group", "a group is group(Steps), group(Steps, N)"),

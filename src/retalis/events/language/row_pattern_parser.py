@@ -3,8 +3,8 @@
 A row pattern ``steps([low, high(2, 5) where T > prev(T)])`` corresponds to MATCH_RECOGNIZE of SQL. A step is a
 pattern variable with a quantifier: ``high(2, 5)`` is ``HIGH{2,5}``, ``reluctant`` makes it reluctant, and its
 ``where`` goal is the DEFINE condition. ``prev(X, N)``, ``first(Step, X)`` and ``last(Step, X)`` are the navigation
-functions, ``avg(Step, X)`` and others the aggregates of `STEP_AGGREGATES`; the parser replaces each of them by a
-fresh variable and records in a `RowNavigation` the value to bind it to. `split_condition` splits a condition at its
+functions, ``avg(Step, X * 2)`` and others the aggregates of `STEP_AGGREGATES`; the parser replaces each of them by
+a fresh variable and records in a `RowNavigation` the value to bind it to. `split_condition` splits a condition at its
 commas into parts, so that each part can be evaluated as soon as the rows that it refers to exist. The option
 ``after_match`` is AFTER MATCH SKIP.
 """
@@ -126,14 +126,14 @@ class RowNavigation(NamedTuple):
         kind: ``prev`` for an earlier row, ``first`` or ``last`` for a row of a step, or the name of an aggregate.
         step: number of the step, or `WHOLE_MATCH` for all rows; for ``prev`` the distance of the row. Another number
             if there is no such step or distance.
-        var: variable of the pattern; None for ``count``.
+        value: variable of the pattern, for an aggregate also an expression; None for ``count``.
         placeholder: variable that replaces the navigation in the condition.
         term: its term.
     """
 
     kind: str
     step: int
-    var: Optional[Var]
+    value: Optional[Term]
     placeholder: Var
     term: CompoundTerm
 
@@ -141,6 +141,11 @@ class RowNavigation(NamedTuple):
     def is_aggregate(self) -> bool:
         """True if it is an aggregate."""
         return self.kind in STEP_AGGREGATES
+
+    @property
+    def vars(self) -> List[Var]:
+        """The variables of its value."""
+        return [] if self.value is None else variables(self.value)
 
     @property
     def is_valid(self) -> bool:
@@ -199,15 +204,11 @@ def parse_row_pattern(
         for goal in step.goals:
             parts = split_condition(goal, names, number, pattern_variables)
             for navigation in (navigation for part in parts for navigation in part.navigations):
-                known_vars = (None, ROW_START, ROW_END, *pattern_variables)
-                has_variable = navigation.var in known_vars
-                if not (has_variable and navigation.is_valid):
+                unknown_vars = {*navigation.vars}.difference(pattern_variables, (ROW_START, ROW_END))
+                if unknown_vars or not navigation.is_valid:
                     raise _navigation_error(reader, navigation, names)
-            mentioned = [
-                *variables(goal),
-                *(navigation.var for part in parts for navigation in part.navigations),
-            ]
-            navigated_vars += [var for var in mentioned if var is not None and var in pattern_variables]
+                _require_plain_expression(reader, navigation, names)
+            navigated_vars += [var for var in variables(goal) if var in pattern_variables]
     options = deref(row_pattern_term[2]) if len(row_pattern_term) == 3 else NIL
     return _parse_step_options(reader, options, row_pattern_term, steps, nfa)._replace(
         steps=tuple(steps),
@@ -462,7 +463,28 @@ def _navigation_error(reader: "PatternReader", navigation: RowNavigation, names:
     if not navigation.is_valid:
         near_name = did_you_mean(functor_name(deref(term[1])), names)
         return reader.create_error(f"unknown step; the steps are {', '.join(names)}{near_name}", term, 1)
-    return reader.create_error(f"{navigation.kind} needs a variable that the pattern binds", term)
+    if navigation.kind in AGGREGATES and navigation.kind not in (*STEP_AGGREGATES, "first", "last"):
+        known = ", ".join(STEP_AGGREGATES)
+        return reader.create_error(
+            f"{navigation.kind} is no aggregate of conditions of steps: expected {known}", term
+        )
+    needed = "an expression of variables" if navigation.is_aggregate else "a variable"
+    return reader.create_error(f"{navigation.kind} needs {needed} that the pattern binds", term)
+
+
+def _require_plain_expression(
+    reader: "PatternReader", navigation: RowNavigation, names: Sequence[str]
+) -> None:
+    """Raise an error for an aggregate whose expression has values of other rows."""
+    stack: List[Any] = [navigation.value]
+    while stack:
+        term = stack.pop()
+        if term.__class__ is not tuple:
+            continue
+        if _parse_navigation(term, names, 0, True) is not None or _is_malformed_navigation(term, True):
+            message = f"{term[0].name} cannot be in the expression of {navigation.kind}"
+            raise reader.create_error(message, navigation.term)
+        stack += map(deref, term[1:])
 
 
 def split_condition(
@@ -515,7 +537,7 @@ def _replace_navigations(goal: Term, names: Sequence[str], step: int) -> StepCon
             return term
         if term[0] in _STAMP_GOALS:
             return (_UNIFY, term[1], _STAMP_GOALS[term[0]])
-        navigation = _parse_navigation(term, names, step)
+        navigation = _parse_navigation(term, names, step, is_number)
         if navigation is None and _is_malformed_navigation(term, is_number):
             # The parser reports it, because its variable is not one of the pattern.
             navigation = RowNavigation(term[0].name, 1, Var(), Var(), term)
@@ -539,11 +561,20 @@ def _is_malformed_navigation(term: CompoundTerm, is_number: bool) -> bool:
     if name == "prev" and arity <= 2:
         return True
     is_evaluable = name in _EVALUABLE_WITH_TWO_ARGUMENTS and arity == 2
-    return is_number and arity <= 2 and name in ("first", "last", *STEP_AGGREGATES) and not is_evaluable
+    return is_number and arity <= 2 and name in AGGREGATES and not is_evaluable
 
 
-def _parse_navigation(term: CompoundTerm, names: Sequence[str], step: int) -> Optional[RowNavigation]:
-    """Return the navigation that a term denotes, or None."""
+def _parse_navigation(
+    term: CompoundTerm, names: Sequence[str], step: int, is_number: bool
+) -> Optional[RowNavigation]:
+    """Return the navigation that a term denotes, or None.
+
+    Args:
+        term: the term.
+        names: names of the steps.
+        step: number of the step that has the condition.
+        is_number: whether it is a part of an arithmetic expression, where aggregates may have expressions.
+    """
     name = term[0].name
     first: Any = deref(term[1])
     last: Any = deref(term[-1])
@@ -558,15 +589,16 @@ def _parse_navigation(term: CompoundTerm, names: Sequence[str], step: int) -> Op
     if name not in STEP_AGGREGATES or len(term) > 3:
         return None
     has_value = AGGREGATES[name].has_value
-    if len(term) - 1 == has_value and last.__class__ is Var:
-        return RowNavigation(name, step, last, Var(), term)
-    if len(term) - 2 != has_value or first.__class__ is not Atom or (has_value and last.__class__ is not Var):
+    is_value = last_var.__class__ is Var or (is_number and last.__class__ in (tuple, int, float))
+    if len(term) - 1 == has_value and is_value:
+        return RowNavigation(name, step, last_var, Var(), term)
+    if len(term) - 2 != has_value or first.__class__ is not Atom or (has_value and not is_value):
         return None
     number = _find_step(first.name, names)
     # `max(e, X)` is the larger one of two numbers.
     if number == _UNKNOWN_STEP and name in _EVALUABLE_WITH_TWO_ARGUMENTS:
         return None
-    return RowNavigation(name, number, last if has_value else None, Var(), term)
+    return RowNavigation(name, number, last_var if has_value else None, Var(), term)
 
 
 def _find_step(name: str, names: Sequence[str]) -> int:
@@ -595,10 +627,7 @@ def uses_stamps(pattern: WindowPattern) -> bool:
     terms = [insert_stamps(value) for value in pattern.values if value is not None]
     for number, step in enumerate(pattern.window.steps):
         for part in (part for goal in step.goals for part in split_condition(goal, names, number, ())):
-            terms += [
-                part.goal,
-                *(navigation.var for navigation in part.navigations if navigation.var is not None),
-            ]
+            terms += [part.goal, *(var for navigation in part.navigations for var in navigation.vars)]
     return any(var in (ROW_START, ROW_END) for term in terms for var in variables(term))
 
 

@@ -23,6 +23,7 @@ from typing import (
     Dict,
     Hashable,
     List,
+    NamedTuple,
     Optional,
     Sequence,
     Set,
@@ -110,17 +111,31 @@ GoalTestFactory = Callable[[Term, Sequence[Var], str], GoalTest]
 """Returns a function that calls a goal, given the goal, its variables, and its name in reports."""
 
 
+class AggregatedExpression(NamedTuple):
+    """Expression of an aggregate in a condition of a row pattern.
+
+    Attributes:
+        kind: name of the aggregate.
+        term: the expression.
+    """
+
+    kind: str
+    term: Term
+
+
 def compile_row_pattern(
     window: WindowSpec, element_vars: Sequence[Optional[Var]], compile_test: GoalTestFactory
-) -> RowPatternNFA:
-    """Return the NFA of the row pattern of a window.
+) -> Tuple[RowPatternNFA, List[AggregatedExpression]]:
+    """Return the NFA of the row pattern of a window, and the expressions whose values it needs.
 
     Args:
         window: the window.
-        element_vars: variables of the values of an element; None for a measured value.
+        element_vars: variables of the values of an element; None for a measured value. The values of the expressions
+            follow them.
         compile_test: returns a function that calls a goal.
     """
     position_of = {var: position for position, var in enumerate(element_vars) if var is not None}
+    expressions: List[AggregatedExpression] = []
     step_names = [step_form.name for step_form in window.steps]
     navigation_numbers: Dict[StepNavigation, int] = {}
     aggregate_numbers: Dict[StepAggregate, int] = {}
@@ -129,7 +144,14 @@ def compile_row_pattern(
         navigation_numbers[StepNavigation("prev", distance)] = distance - 1
 
     def test_aggregate(navigation: RowNavigation, position: int) -> TestedAggregate:
-        value_position = None if navigation.var is None else position_of[navigation.var]
+        value: Any = navigation.value
+        if value is None:
+            value_position = None
+        elif value.__class__ is Var and value not in (ROW_START, ROW_END):
+            value_position = position_of[value]
+        else:
+            value_position = len(element_vars) + len(expressions)
+            expressions.append(AggregatedExpression(navigation.kind, value))
         aggregate = StepAggregate(AGGREGATES[navigation.kind], navigation.step, value_position)
         index = aggregate_numbers.setdefault(aggregate, len(aggregate_numbers))
         return TestedAggregate(index, aggregate, navigation.step in (position, WHOLE_MATCH))
@@ -155,7 +177,7 @@ def compile_row_pattern(
             ]
             value_positions = (
                 [position_of[var] for var in own_vars],
-                [position_of[navigation.var] for navigation in navigated if navigation.var is not None],
+                [position_of[var] for navigation in navigated for var in navigation.vars],
             )
             tests.append(
                 StepTest(
@@ -176,7 +198,8 @@ def compile_row_pattern(
         )
 
     steps = [compile_step(position, step_form) for position, step_form in enumerate(window.steps)]
-    return RowPatternNFA(steps, list(navigation_numbers), list(aggregate_numbers), window.structure)
+    nfa = RowPatternNFA(steps, list(navigation_numbers), list(aggregate_numbers), window.structure)
+    return nfa, expressions
 
 
 def _find_max_distance(window: WindowSpec, step_names: Sequence[str], own_vars: Container[Var]) -> int:
@@ -310,6 +333,17 @@ def compile_window_spec(
         for (kind, scope), value in zip(measured_kinds, measured_terms)
     ]
     has_numeric_values = any(evaluate_values)
+    window, nfa = window_pattern.window, None
+    expressions: List[AggregatedExpression] = []
+    if window.kind == "steps":
+        element_vars = [*(None for _ in measured_terms), *navigated_vars]
+        nfa, expressions = compile_row_pattern(window, element_vars, evaluators.compile_test)
+    build_expressions = _compile_values_builder([expression.term for expression in expressions], value_vars)
+    # Conditions of the step that needs the value reject one that is no number.
+    evaluate_expressions = [
+        _compile_measured_value(evaluators, expression.kind, expression.term, value_vars, 0, is_held)
+        for expression in expressions
+    ]
 
     def key_and_values(values: Values) -> Tuple[Values, Values]:
         measured = build(values)
@@ -326,6 +360,14 @@ def compile_window_spec(
                     break
         if navigated_positions:
             measured = (*measured, *(values[position] for position in navigated_positions))
+        if expressions:
+            terms = build_expressions(values)
+            measured += tuple(
+                [
+                    _evaluate_unless_number(term, evaluate, values)
+                    for term, evaluate in zip(terms, evaluate_expressions)
+                ]
+            )
         return (
             (values[single_position],)
             if single_position is not None
@@ -333,10 +375,7 @@ def compile_window_spec(
         ), measured
 
     make_accumulators = _accumulator_factory(window_pattern, evaluators.compile_fold)
-    window = window_pattern.window
-    if window.kind == "steps":
-        element_vars = [*(None for _ in measured_terms), *navigated_vars]
-        nfa = compile_row_pattern(window, element_vars, evaluators.compile_test)
+    if nfa is not None:
         skip = window.skip or RowPatternSkip(SKIP_PAST_LAST)
         classifier = StepClassifier(
             [atom(step.name) for step in window.steps],
