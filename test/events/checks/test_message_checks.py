@@ -7,6 +7,7 @@ import pytest
 
 from retalis import Definitions, Engine
 from retalis.engine.program_check import check_program
+from retalis.events.checks.check_runner import INFO, run_checks
 from retalis.events.checks.message_checks import find_message_mismatches
 from retalis.events.checks.program_model import ProgramModel
 from retalis.events.program.topic_configuration import TopicEvent, Topics, topic_type
@@ -302,6 +303,36 @@ def test_mistake_in_call_of_service_is_reported(tmp_path: Path, goal: str, warni
     )
     texts = [str(problem).partition("\n")[0] for problem in problems if "no producer" not in str(problem)]
     assert texts == ([] if warning is None else [warning])
+
+
+CALL = "go({0}) do ros_service({0}, 'std_srvs/Trigger', std_srvs__0__Trigger_Request, x)."
+
+
+@pytest.mark.parametrize(
+    ("services", "permission"),
+    [
+        (["'/dock'"], "allow_services:=[/dock]"),
+        (["'/dock'", "arm", "'/dock'", "Name"], "allow_services:=[/dock,arm]"),
+        (["Name"], "allow_services:=[/name/*]"),
+    ],
+)
+def test_permission_to_call_services_is_named_once(services: List[str], permission: str) -> None:
+    engine = Engine()
+    engine.load("\n".join(CALL.format(service) for service in services))
+    program = ProgramModel(engine.rules, engine.knowledge, Definitions(), Topics())
+    (hint,) = [finding for finding in run_checks(program) if finding.check == "called-services"]
+    assert hint.severity == INFO
+    assert (
+        hint.problem.message
+        == f"goals call services: a node needs the parameter ~allow_services, as in {permission}"
+    )
+
+
+def test_program_without_services_needs_no_permission() -> None:
+    engine = Engine()
+    engine.load("x <- y.")
+    program = ProgramModel(engine.rules, engine.knowledge, Definitions(), Topics())
+    assert "called-services" not in [finding.check for finding in run_checks(program)]
 
 
 @pytest.mark.parametrize("event", ["service_call", "service_reply", "service_failed"])

@@ -12,6 +12,7 @@ from retalis.events.checks.time_checks import (
     find_likely_milliseconds,
     find_missed_pairs,
     find_throttles_without_key,
+    find_unreachable_limits,
 )
 from retalis.events.program.topic_configuration import Topics
 
@@ -192,3 +193,62 @@ def test_throttle_without_key_is_reported(pattern: str, advice: str) -> None:
 )
 def test_throttle_that_needs_no_key_is_not_reported(rules: str) -> None:
     assert unkeyed(rules) == []
+
+
+def unreachable_limits(rule: str) -> List[str]:
+    engine = Engine()
+    engine.load(rules=rule)
+    program = ProgramModel(engine.rules, engine.knowledge, Definitions(), Topics())
+    return [error.message for error in find_unreachable_limits(program)]
+
+
+@pytest.mark.parametrize(
+    ("pattern", "seconds"),
+    [
+        ("a seq absent(b, 5)", 5),
+        ("aggregate(count, a, _, timed_out(steps([x, y]), 5))", 5),
+        ("aggregate(avg(X), c(X), _, held(every(5)))", 5),
+        ("aggregate(avg(X), c(X), _, held(last(5, every(2))))", 5),
+        ("aggregate(count, a, _, every(5))", 5),
+        ("aggregate(count, a, _, every(5, first))", 5),
+        ("aggregate(count, a, _, last(5, every(2)))", 5),
+        ("a with debounce(5)", 5),
+        ("(a with debounce(2)) seq (b seq absent(c(_), 3))", 5),
+        ("(a with debounce(2)) and (b seq absent(c(_), 5))", 5),
+        ("(a seq absent(b, 5)) or (b seq absent(a, 7))", 5),
+        ("(a with debounce(2.5)) ntimes 2", 5),
+        ("(a seq absent(b, 5)) seq (b star_times)", 5),
+    ],
+)
+def test_limit_that_no_match_satisfies_is_reported(pattern: str, seconds: int) -> None:
+    """Each match takes exactly the seconds or more, and within allows less, a window of a label as many."""
+    (message,) = unreachable_limits(f"x <- ({pattern}) within {seconds}.")
+    assert message == (
+        f"within never matches here: each match takes at least {seconds} s, and within allows less than {seconds} s"
+    )
+    assert unreachable_limits(f"x <- ({pattern}) within {seconds}.001.") == []
+    (message,) = unreachable_limits(f"l([property(window, 4.5)]) : x <- {pattern}.")
+    assert message == f"window 4.5 never matches: each match takes at least {seconds} s"
+    assert unreachable_limits(f"l([property(window, {seconds})]) : x <- {pattern}.") == []
+
+
+@pytest.mark.parametrize(
+    "pattern",
+    [
+        "a seq b",
+        "n(N) seq absent(a, N)",
+        "a or (b seq absent(a, 5))",
+        "at_end(a seq absent(b, 5))",
+        "a with throttle(5)",
+        "a with not_preceded(b, 5)",
+        "(a seq b) cnot (c(_) seq absent(b, 5))",
+        "a seq ((b seq absent(a, 5)) star_times)",
+        "aggregate(count, a, _, last(5))",
+        "aggregate(count, a, _, session(5))",
+        "aggregate(count, a, _, running(every(5)))",
+        "aggregate(count, a, _, steps([x, y]))",
+        "aggregate(avg(X), c(X), _, held(last(5)))",
+    ],
+)
+def test_limit_that_a_match_may_satisfy_is_not_reported(pattern: str) -> None:
+    assert unreachable_limits(f"x <- ({pattern}) within 1.") == []

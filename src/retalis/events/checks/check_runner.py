@@ -19,6 +19,7 @@ from .long_event_window_checks import find_windows_of_long_events
 from .memory_checks import find_empty_memories, find_record_mismatches, find_unknown_memories
 from .message_checks import (
     find_awaited_constants,
+    find_called_services,
     find_impossible_values,
     find_message_mismatches,
     find_output_mismatches,
@@ -49,6 +50,7 @@ from .time_checks import (
     find_missed_pairs,
     find_throttles_without_key,
     find_unlikely_spans,
+    find_unreachable_limits,
 )
 from .unbounded_state_checks import find_unbounded_keys, find_unbounded_waits
 from .value_flow import find_conflicting_flows, find_impossible_flows
@@ -95,6 +97,7 @@ CHECKS: Tuple[Check, ...] = (
     Check("outputs", "RT1103", find_output_mismatches),
     Check("outputs", "RT1103", find_request_mismatches),
     Check("refused-services", "RT1112", find_refused_services),
+    Check("called-services", "RT1113", find_called_services, severity=INFO),
     Check("unpublished", "RT1102", find_untyped_topics, requires_valid_program=True),
     Check("never-made", "RT1201", find_unproduced_events, requires_valid_program=True),
     Check("never-taken", "RT1202", find_unconsumed_events, requires_valid_program=True),
@@ -120,6 +123,7 @@ CHECKS: Tuple[Check, ...] = (
     Check("throttled-first", "RT1212", find_conditions_after_throttle, severity=INFO),
     Check("milliseconds", "RT1213", find_likely_milliseconds, severity=INFO),
     Check("unkeyed", "RT1214", find_throttles_without_key, requires_valid_program=True, severity=INFO),
+    Check("unreachable", "RT1215", find_unreachable_limits),
     Check("singleton", "RT1406", find_singletons),
     Check("conditions", "RT1407", find_impossible_conditions),
     Check(

@@ -325,6 +325,18 @@ def find_refused_services(program: ProgramModel) -> Iterator[RuleError]:
             yield RuleError(refusal, subterm.place)
 
 
+def find_called_services(program: ProgramModel) -> Iterator[RuleError]:
+    """Yield once the permission that the goals of the program need, with the services that are known."""
+    goals = list(_service_goals(program))
+    names = sorted({_constant_text(goal.term[1]) for goal in goals} - {""})
+    if goals:
+        yield RuleError(
+            "goals call services: a node needs the parameter ~allow_services, as in "
+            f"allow_services:=[{','.join(names) if names else '/name/*'}]",
+            goals[0].place,
+        )
+
+
 def _service_goals(program: ProgramModel) -> Iterator[Subterm]:
     """Yield the terms that call a service."""
     return (subterm for subterm in program.all_subterms() if subterm.key in _ROS_SERVICE)

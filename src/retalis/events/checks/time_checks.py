@@ -2,24 +2,30 @@
 
 `find_impossible_pairs` computes which events are always instants (messages, and heads of rules on single instants),
 and evaluates the comparisons of each operator for a small set of intervals that represents all possible orders.
+`find_unreachable_limits` computes the shortest interval that a match of each part of a pattern can have.
 """
 
 from itertools import combinations_with_replacement
-from typing import Any, Dict, Iterator, List, NamedTuple, Optional, Set, Tuple
+from typing import Any, Dict, Iterator, List, NamedTuple, Optional, Sequence, Set, Tuple
 
+from ...foundation.displayed_text import format_duration
 from ...foundation.errors import RuleError
 from ...foundation.ros_name_checks import strip_slashes
 from ...prolog.terms.term_traversal import term_key, variables
 from ...prolog.terms.types import Atom, Functor, Var, atom, deref, functor
 from ..language.event_operators import OPERATOR_NAMES, PAIR_OPERATORS
 from ..language.pattern_tree import (
+    AbsencePattern,
     ActionPattern,
     ConditionPattern,
     EventPattern,
+    InstantPattern,
     OrPattern,
     PairPattern,
     Pattern,
     RatePattern,
+    RepeatedPattern,
+    WindowPattern,
     WithinPattern,
     children,
     walk,
@@ -436,6 +442,71 @@ def find_conditions_after_throttle(program: ProgramModel) -> Iterator[RuleError]
                     "ones that satisfy it; write (Pattern where Goal) with throttle(...), unless this is intended",
                     operator_place(rule, "with"),
                 )
+
+
+def find_unreachable_limits(program: ProgramModel) -> Iterator[RuleError]:
+    """Yield limits of the interval of a match that no match satisfies, because each one takes longer."""
+    properties = program.rule_base.all_properties()
+    for rule in program.rules:
+        # A node precedes those below it.
+        nodes = walk(rule.definition.pattern, negated=True)
+        shortest: Dict[int, int] = {}
+        for node in reversed(nodes):
+            shortest[id(node)] = _shortest_interval(
+                node, [shortest[id(child)] for child in children(node, False)]
+            )
+        for node in nodes:
+            if isinstance(node, WithinPattern) and shortest[id(node)] > node.span:
+                length, limit = (
+                    format_duration(shortest[id(node)] / 10**9),
+                    format_duration((node.span + 1) / 10**9),
+                )
+                yield RuleError(
+                    f"within never matches here: each match takes at least {length}, and within allows less than "
+                    f"{limit}",
+                    operator_place(rule, "within"),
+                )
+        label = rule.definition.label
+        for prop in () if label is None else properties.get(term_key(label), ()):
+            length_in_seconds = shortest[id(rule.definition.pattern)] / 10**9
+            if prop.name in _INTERVAL_PROPERTIES and length_in_seconds > prop.numeric_value:
+                yield RuleError(
+                    f"{prop.name} {prop.numeric_value} never matches: each match takes at least "
+                    f"{format_duration(length_in_seconds)}",
+                    rule.definition.place,
+                )
+
+
+_INTERVAL_PROPERTIES = ("window", "event_rule_window")
+"""Properties of labels that limit the interval of a match."""
+
+
+def _shortest_interval(node: Pattern, lengths: Sequence[int]) -> int:
+    """Return the length in ns that the interval of a match has at least, given those of its parts."""
+    if isinstance(node, InstantPattern):
+        return 0
+    if isinstance(node, OrPattern):
+        return min(lengths)
+    if isinstance(node, WindowPattern):
+        # The other windows begin with their first match and end with their last one.
+        window = node.window
+        has_own_interval = window.kind in ("every", "first", "steps") or (
+            window.kind == "held" and window.step
+        )
+        return window.span if has_own_interval and not window.running else 0
+    if isinstance(node, PairPattern):
+        # In a sequence, the intervals follow each other; otherwise that of a pair contains both.
+        follow_each_other = "e1 < s2" in PAIR_OPERATORS[node.operator].comparisons
+        return sum(lengths) if follow_each_other else max(lengths)
+    if isinstance(node, RepeatedPattern):
+        return node.times * lengths[0]
+    # There may be no repetition, so only the first part is certain.
+    length = lengths[0] if lengths else 0
+    if isinstance(node, AbsencePattern):
+        return length + (node.span if isinstance(node.span, int) else 0)
+    if isinstance(node, RatePattern) and RATE_OPERATORS[node.operator].is_delayed:
+        return length + node.span
+    return length
 
 
 def find_missed_pairs(program: ProgramModel) -> Iterator[RuleError]:
