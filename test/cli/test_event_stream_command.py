@@ -770,6 +770,18 @@ def test_calls_have_answers_of_file(run: Any) -> None:
     ]
 
 
+def test_empty_answers_are_none(run: Any) -> None:
+    rules = f"{CALLING_RULES}failed(R) <- service_failed(_, d, R)."
+    arguments = {"rules": rules, "stream": "event(heat(41), [1,1]).\nevent(press, [2,2]).\n"}
+    _, lines, errors = run("--flush", "1", answers="parameters: {}\nservices: []\n", **arguments)
+    assert "ros_param" not in errors
+    assert lines[-1].startswith("event(failed('no answer is prepared for this call')")
+    _, _, errors = run("--flush", "1", answers="services: []\n", **arguments)
+    assert (
+        "ros_param: there is no parameter /limit: parameters are read only in a node: use --answers" in errors
+    )
+
+
 def test_call_within_flush_has_time_of_its_alarm(run: Any) -> None:
     rules = f"press <- start seq absent(stop, 2). {CALLING_RULES}called <- service_call(_, d, _)."
     _, lines, _ = run("--flush", "10", rules=rules, stream="event(start, [1,1]).\n")

@@ -118,8 +118,12 @@ def test_file_of_answers_is_read(tmp_path: Path) -> None:
     path = tmp_path / "answers.yaml"
     path.write_text("services: [{name: /dock, error: no}]\nparameters: {/limit: 3, rate: 5}\n")
     answers = read_answers_file(path)
-    assert [answer.error for answer in answers.services] == ["no"]
+    assert [answer.error for answer in answers.services or ()] == ["no"]
     assert answers.parameters == (("/limit", 3), ("rate", 5))
+    path.write_text("services: []\n")
+    assert read_answers_file(path) == ((), None)
+    path.write_text("parameters: {}\n")
+    assert read_answers_file(path) == (None, ())
     path.write_text("cases: []\n")
     with pytest.raises(CaseFileError):
         read_answers_file(path)

@@ -694,12 +694,12 @@ class RosAnswers(NamedTuple):
     """Answers of ROS services, and values of ROS parameters.
 
     Attributes:
-        services: the answers of services.
-        parameters: the parameters by name.
+        services: the answers of services; None if the file has no such key.
+        parameters: the parameters by name; None if the file has no such key.
     """
 
-    services: Tuple[ServiceAnswer, ...]
-    parameters: Tuple[Tuple[str, Any], ...]
+    services: Optional[Tuple[ServiceAnswer, ...]]
+    parameters: Optional[Tuple[Tuple[str, Any], ...]]
 
 
 def read_answers_file(path: Path) -> RosAnswers:
@@ -709,9 +709,10 @@ def read_answers_file(path: Path) -> RosAnswers:
         CaseFileError: if the file cannot be read, or its content is wrong.
     """
     values = parse_yaml(_read_file(path), str(path)).mapping(ANSWERS_KEYS)
-    parameters = values["parameters"].mapping() if "parameters" in values else {}
+    parameters = values["parameters"].mapping() if "parameters" in values else None
     return RosAnswers(
-        tuple(_read_services(values)), tuple((name, value.plain()) for name, value in parameters.items())
+        tuple(_read_services(values)) if "services" in values else None,
+        None if parameters is None else tuple((name, value.plain()) for name, value in parameters.items()),
     )
 
 

@@ -16,7 +16,6 @@ from tempfile import TemporaryDirectory
 from typing import Callable, Dict, Iterator, List, NamedTuple, Optional, Sequence, Set, Tuple
 
 from ..engine.engine import EVENT_FLAGS, Engine
-from ..engine.ros_parameters import no_parameters
 from ..events.knowledge.knowledge_base import MEMORY_EVENTS
 from ..events.program.topic_configuration import GOALS, RULES, TOPICS, TopicType, read_topics, topic_type
 from ..explanation.event_explanations import event_request, explain_briefly, record_origins
@@ -207,10 +206,8 @@ def load_program(
 
 def _connect_ros(program: CaseProgram, definitions: Definitions, engine: Engine) -> None:
     """Connect an engine with the services and parameters of a case."""
-    if program.has_parameters:
-        # Replaces the reader that warns of the lack of parameters.
-        engine.on_parameter_read(no_parameters)
-    OfflineRos(program.services, program.ros_parameters, definitions).connect(engine)
+    parameters = program.ros_parameters if program.has_parameters else None
+    OfflineRos(program.services or None, parameters, definitions).connect(engine)
 
 
 def _write_program(program: CaseProgram, stack: ExitStack) -> Path:

@@ -22,28 +22,29 @@ class OfflineRos:
     """Services and parameters of one run.
 
     Args:
-        services: answers; the first that fits a call is used.
-        parameters: ROS parameters by name.
+        services: answers; the first that fits a call is used. None if services cannot be called.
+        parameters: ROS parameters by name; None if they cannot be read.
         definitions: known types.
     """
 
     def __init__(
         self,
-        services: Sequence[ServiceAnswer],
-        parameters: Sequence[Tuple[str, Any]],
+        services: Optional[Sequence[ServiceAnswer]],
+        parameters: Optional[Sequence[Tuple[str, Any]]],
         definitions: Definitions,
     ):
-        self._services = services
-        self._parameters = _nest_parameters(parameters)
+        self._answers_calls, self._has_parameters = services is not None, parameters is not None
+        self._services = services or ()
+        self._parameters = _nest_parameters(parameters or ())
         self._definitions = definitions
-        self._remaining: List[Optional[int]] = [answer.max_calls for answer in services]
+        self._remaining: List[Optional[int]] = [answer.max_calls for answer in self._services]
         self._comparison = SlotComparison(Tolerance(), {}, 0)
 
     def connect(self, engine: Engine) -> None:
-        """Answer the calls of an engine, and provide its parameters. Without answers or parameters, goals fail."""
-        if self._services:
+        """Answer the calls of an engine, and provide its parameters."""
+        if self._answers_calls:
             engine.on_service_call(lambda call: self._answer(engine, call))
-        if self._parameters:
+        if self._has_parameters:
             engine.on_parameter_read(self._read_parameter)
 
     def _read_parameter(self, name: str) -> object:
