@@ -43,6 +43,7 @@ ORDER = (
     "visualization",
     "dashboard",
     "fleet",
+    "forwarding",
     "node",
     "playback",
     "testing",

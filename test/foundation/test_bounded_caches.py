@@ -37,6 +37,7 @@ CACHES = {
     ("ros2/rclpy_transport.py", "self._resolved"): (1000, 1 << 20),
     ("ros1/rospy_transport.py", "self._receivers"): (1000, 16 << 20),
     ("engine/runtime/clock_skew.py", "frames"): (5000, 4 << 20),  # for each topic
+    ("node/output_forwarding.py", "self._decisions"): (1000, 1 << 20),
     ("node/published_topics.py", "self._checked"): (1000, 1 << 20),
     ("ros1/text_topics.py", "self._full_names"): (1000, 1 << 20),
     ("events/rules/event_input_predicates.py", "self._seconds"): (64, 64 << 10),

@@ -196,6 +196,62 @@ def test_dashboard_is_disabled_by_default(read: Any) -> None:
             read(dashboard=value)
 
 
+def test_nothing_is_forwarded_by_default(read: Any) -> None:
+    assert read().forwarding is None
+    # The launch file of ROS 1 passes empty defaults.
+    assert read(forward_topics=[], forward_robot="", forward_queue="").forwarding is None
+
+
+FORWARDING = {
+    "forward": "mqtt://r07@fleet",
+    "forward_robot": "r07",
+    "forward_topics": ["alarm", "/arm/*"],
+    "forward_queue": "/var/queue.db",
+}
+
+
+def test_options_of_forwarding(read: Any, tmp_path: Path) -> None:
+    password = tmp_path / "password"
+    password.write_text("secret\n")
+    options = read(**FORWARDING, forward_password=str(password), forward_megabytes=5).forwarding
+    assert options.broker == ("fleet", 1883, False, "r07", "secret", None)
+    assert (options.robot, options.topics, options.queue) == (
+        "r07",
+        ("alarm", "/arm/*"),
+        Path("/var/queue.db"),
+    )
+    assert (options.max_bytes, read(**FORWARDING).forwarding.max_bytes) == (5_000_000, 100_000_000)
+
+
+@pytest.mark.parametrize(
+    ("changes", "problem"),
+    [
+        ({"forward": ""}, "~forward_topics: nothing is forwarded without ~forward"),
+        ({"forward": "fleet"}, "~forward: 'fleet' is not the address of a broker"),
+        (
+            {"forward_robot": "r/7"},
+            "~forward_robot: expected the name of the robot, without spaces, .* found 'r/7'",
+        ),
+        ({"forward_robot": ""}, "~forward_robot: expected the name of the robot"),
+        ({"forward_topics": []}, "~forward_topics: expected a list of topics"),
+        (
+            {"forward_topics": ["a b"]},
+            "~forward_topics: expected names of topics, as alarm or /arm/., found 'a b'",
+        ),
+        (
+            {"forward_topics": ["arm/*"]},
+            "~forward_topics: expected names of topics, as alarm or /arm/., found 'arm/.'",
+        ),
+        ({"forward_queue": ""}, "~forward_queue: expected the path of a file"),
+        ({"forward_password": "/nowhere/x"}, "~forward_password: /nowhere/x cannot be read"),
+        ({"forward_megabytes": 0}, "~forward_megabytes: expected a positive number"),
+    ],
+)
+def test_wrong_options_of_forwarding_are_refused(read: Any, changes: Any, problem: str) -> None:
+    with pytest.raises(UsageError, match=f"parameter {problem}"):
+        read(**{**FORWARDING, **changes})
+
+
 def test_adjusted_parameters_equal_those_of_start(read: Any) -> None:
     values = {
         "max_seconds": 2,

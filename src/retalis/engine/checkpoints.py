@@ -38,6 +38,7 @@ from ..events.clock.clock import Clock
 from ..events.knowledge.memory import NO_POSITION, MemoryInstance
 from ..events.program.topic_configuration import GOALS, TOPICS
 from ..foundation.errors import UsageError
+from ..foundation.output_files import set_aside
 from ..foundation.read_only_sqlite import open_without_locks
 from ..messages.type_registry import Definitions
 from ..serialization.codec import from_bytes, to_bytes
@@ -74,9 +75,6 @@ CREATE TABLE IF NOT EXISTS records (memory INTEGER, first INTEGER, number INTEGE
 """
 """Tables of the file. ``checked`` is a CRC-32 of the data. A row of ``records`` is a `RecordBatch`; ``first`` is its
 ``earlier_count``, ``number`` its ``record_count``."""
-
-_REFUSED_FILE_SUFFIX = ".aside"
-"""Suffix of a file that `resume` has refused."""
 
 ProgramFiles = List[Tuple[str, str]]
 """Paths of the files that a program was read from, with digests of their contents."""
@@ -506,22 +504,10 @@ def rename_refused_file(path: Path) -> Path:
         raise UsageError(f"{path} is not a file")
     if is_foreign_database(path):
         raise UsageError(f"{path} is the database of another program")
-    candidates = [
-        Path(f"{path}{_REFUSED_FILE_SUFFIX}{number if number > 1 else ''}")
-        for number in range(1, MAX_REFUSED_FILES + 1)
-    ]
-    new_path = next((candidate for candidate in candidates if not candidate.exists()), candidates[-1])
     try:
-        # The main file is renamed last: after a crash in between, the next start finds and refuses it again.
-        for suffix in ("-wal", "-shm", ""):
-            source, target = Path(f"{path}{suffix}"), Path(f"{new_path}{suffix}")
-            if source.exists():
-                os.replace(source, target)
-            elif target.exists():
-                target.unlink()
+        return set_aside(path, MAX_REFUSED_FILES)
     except OSError as error:
         raise UsageError(f"{path} cannot be renamed: {error.strerror}") from error
-    return new_path
 
 
 MIN_INTERVAL_SECONDS = 0.5

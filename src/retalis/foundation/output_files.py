@@ -63,6 +63,29 @@ def _move(source: Path, target: Path) -> None:
     os.replace(source, target)
 
 
+def set_aside(path: Path, max_files: int) -> Path:
+    """Rename an SQLite file that cannot be used, with its write-ahead log, to ``NAME.aside``; return the new path.
+
+    Args:
+        path: the file.
+        max_files: number of such files that are kept: ``NAME.aside``, ``NAME.aside2`` and so on. The last one is
+            replaced.
+
+    Raises:
+        OSError: if it cannot be renamed.
+    """
+    candidates = [Path(f"{path}.aside{number if number > 1 else ''}") for number in range(1, max_files + 1)]
+    new_path = next((candidate for candidate in candidates if not candidate.exists()), candidates[-1])
+    # The main file is renamed last: after a crash in between, the next start finds and refuses it again.
+    for suffix in ("-wal", "-shm", ""):
+        source, target = Path(f"{path}{suffix}"), Path(f"{new_path}{suffix}")
+        if source.exists():
+            os.replace(source, target)
+        elif target.exists():
+            target.unlink()
+    return new_path
+
+
 def target_name_of(path: Path) -> str:
     """Return the name of the target of a file that `replace_file` has created, or "" for other files."""
     _, mark, name = path.name.rpartition(_INCOMPLETE_MARK)

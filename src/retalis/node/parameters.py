@@ -8,6 +8,12 @@ from ..dashboard.page_server import DASHBOARD_PORT
 from ..engine.engine_settings import Settings
 from ..events.knowledge.transform_buffer import DEFAULT_CACHE_SECONDS
 from ..events.program.topic_configuration import AUTO, DirectTopics, read_direct, uses_texts
+from ..forwarding.forwarding_options import (
+    DEFAULT_QUEUE_MEGABYTES,
+    ForwardingOptions,
+    is_robot_name,
+    read_broker,
+)
 from ..foundation.displayed_text import printable, shorten
 from ..foundation.errors import UsageError
 from ..foundation.ros_name_checks import topic_fault
@@ -56,6 +62,13 @@ PARAMETER_DESCRIPTIONS = {
     "dashboard_queries": "Whether users of the page may call goals",
     "explain": "Whether the origin of events is recorded for the service ~explain",
     "checkpoint": "File to which the node saves its state, and from which it continues after a restart",
+    "forward": "Broker of MQTT to which outputs are sent: mqtt://HOST, mqtts://USER@HOST:PORT",
+    "forward_topics": "Topics whose outputs are sent; * stands for any text",
+    "forward_robot": "Name of the robot in these events",
+    "forward_queue": "File in which these events wait for the network",
+    "forward_megabytes": "Maximum size of this file, in megabytes; when it is full, the oldest events are dropped",
+    "forward_password": "File with the password for the broker",
+    "forward_ca": "File with the certificates of trusted authorities, in place of those of the system",
 }
 """Names of the parameters, with a description for tools that list them."""
 
@@ -83,6 +96,18 @@ FIXED_PARAMETERS = {
     "dashboard_queries": _PERMISSION,
     "explain": "origins are recorded from the start",
     "checkpoint": "the state is read from it at the start",
+    **dict.fromkeys(
+        (
+            "forward",
+            "forward_topics",
+            "forward_robot",
+            "forward_queue",
+            "forward_megabytes",
+            "forward_password",
+            "forward_ca",
+        ),
+        "the queue is opened at the start",
+    ),
 }
 """Parameters that are fixed while the node runs, with the reason; the others can be changed on ROS 2."""
 
@@ -120,6 +145,7 @@ class Parameters(NamedTuple):
         dashboard_queries: whether users of the dashboard may ask goals.
         checkpoint: file for the engine's state; None if the state is not saved.
         allow_services: full names of the services that goals may call, in which ``*`` stands for any text.
+        forwarding: outputs that are sent to a broker; None for none.
     """
 
     program: Path
@@ -136,6 +162,7 @@ class Parameters(NamedTuple):
     dashboard_queries: bool = False
     checkpoint: Optional[Path] = None
     allow_services: Tuple[str, ...] = ()
+    forwarding: Optional[ForwardingOptions] = None
 
     @property
     def uses_texts(self) -> bool:
@@ -206,6 +233,7 @@ def read_parameters(values: Mapping[str, Any], find_program: Callable[[], Path])
         dashboard_queries=given.flag("dashboard_queries"),
         checkpoint=given.path("checkpoint"),
         allow_services=given.service_patterns("allow_services"),
+        forwarding=_read_forwarding(given),
     )
     return parameters.adjust(read_adjustable_parameters(values))
 
@@ -297,6 +325,57 @@ def _read_direct_topics(values: Mapping[str, Any]) -> DirectTopics:
         raise UsageError(f"parameter ~direct: {error.message}") from None
 
 
+def _read_forwarding(given: "_GivenParameters") -> Optional[ForwardingOptions]:
+    """Return the options of forwarding; None if there is no broker.
+
+    Raises:
+        UsageError: if one is invalid or missing.
+    """
+    url = given.text("forward", "")
+    if not url:
+        for name in ("forward_topics", "forward_robot", "forward_queue"):
+            if given.get(name, None):
+                raise UsageError(
+                    f"parameter ~{name}: nothing is forwarded without ~forward, the address of a broker"
+                )
+        return None
+    try:
+        broker = read_broker(url)
+    except UsageError as error:
+        raise UsageError(f"parameter ~forward: {error.message}") from None
+    password, queue = given.path("forward_password"), given.path("forward_queue")
+    robot = given.text("forward_robot", "")
+    if not is_robot_name(robot):
+        raise UsageError(
+            f"parameter ~forward_robot: expected the name of the robot, without spaces, '/', '+' and '#', "
+            f"found {robot!r}"
+        )
+    if queue is None:
+        raise UsageError("parameter ~forward_queue: expected the path of a file, found ''")
+    return ForwardingOptions(
+        broker=broker._replace(
+            password=None if password is None else _read_password(password), ca_file=given.path("forward_ca")
+        ),
+        robot=robot,
+        topics=given.topic_patterns("forward_topics"),
+        queue=queue,
+        max_bytes=1_000_000 * (given.positive_number("forward_megabytes", int) or DEFAULT_QUEUE_MEGABYTES),
+    )
+
+
+def _read_password(path: Path) -> str:
+    """Return the first line of a file.
+
+    Raises:
+        UsageError: if it cannot be read.
+    """
+    try:
+        with path.open(encoding="utf-8") as file:
+            return file.readline(1000).rstrip("\r\n")
+    except (OSError, UnicodeDecodeError) as error:
+        raise UsageError(f"parameter ~forward_password: {path} cannot be read: {error}") from None
+
+
 class _GivenParameters:
     """Parameters by name, with a method for each kind of value.
 
@@ -327,6 +406,20 @@ class _GivenParameters:
             if item[:1] not in ("/", "*") or topic_fault(item.replace("*", "a")) is not None:
                 raise UsageError(
                     f"parameter ~{name}: expected full names of services, as /arm/* or /dock, found {item!r}"
+                )
+        return tuple(value)
+
+    def topic_patterns(self, name: str) -> Tuple[str, ...]:
+        """Return the names of topics that a parameter lists, at least one."""
+        value = self.get(name, [])
+        if not isinstance(value, list) or not value or not all(isinstance(item, str) for item in value):
+            raise UsageError(f"parameter ~{name}: expected a list of topics, found {value!r}")
+        for item in value:
+            # A relative name is resolved in the namespace of the node, which a pattern cannot be.
+            is_relative_pattern = "*" in item and item[:1] not in ("/", "*")
+            if is_relative_pattern or topic_fault(item.replace("*", "a")) is not None:
+                raise UsageError(
+                    f"parameter ~{name}: expected names of topics, as alarm or /arm/*, found {item!r}"
                 )
         return tuple(value)
 

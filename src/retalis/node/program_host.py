@@ -37,6 +37,7 @@ from .graph_watch import GraphWatch
 from .host_context import HostContext
 from .latched_deduplication import LatchedConnection
 from .node_dashboard import NodeDashboard
+from .output_forwarding import OutputForwarding
 from .parameters import DEFAULT_WATCHDOG_SECONDS, Parameters
 from .published_topics import OutputRelay
 from .running_program import OutputCallbacks, ProgramContext, RunningProgram, make_event_handler
@@ -132,6 +133,7 @@ class ProgramHost:
             clock_epochs=context.time.epochs,
             stamp_receipt=None if transport.is_time_simulated else ReceiptStamps(transport.now).stamp,
         )
+        self._forwarding = self._create_forwarding()
         # They store the outputs and requested topics of goals until topics can be opened.
         outputs = OutputRelay(parameters.queue, self._reports)
         requests = RequestQueue(transport.on_shutdown)
@@ -181,6 +183,29 @@ class ProgramHost:
         clock.start(self.engine.advance, is_resumed)
         return clock
 
+    def _create_forwarding(self) -> Optional[OutputForwarding]:
+        """Return the forwarding of outputs, if a parameter requests it.
+
+        Raises:
+            UsageError: if the queue cannot be used, or paho is not installed.
+        """
+        options = self._parameters.forwarding
+        if options is None:
+            return None
+        engine, dispatcher = self.engine, self.engine.program.rules.dispatcher
+
+        def find_interval() -> Tuple[int, int]:
+            interval = dispatcher.current_interval
+            if interval is None:
+                # The outputs of rate operators, which their alarms emit, have no event.
+                now = engine.clock.now()
+                return now, now
+            return interval
+
+        forwarding = OutputForwarding(options, self._reports, self._transport.resolve_topic, find_interval)
+        self._transport.on_shutdown(forwarding.stop)
+        return forwarding
+
     # ---- the program
 
     def _load(self) -> None:
@@ -191,10 +216,11 @@ class ProgramHost:
 
     def _log_mistakes(self, topics: Topics) -> None:
         """Log probable mistakes in the loaded program."""
+        forwarding = self._parameters.forwarding
         warnings = self._program.log_mistakes(
             self._parameters.program,
             self._make_short_lived_definitions(),
-            topics,
+            topics if forwarding is None else topics._replace(forwarded=forwarding.topics),
             self._service_caller.find_refusal,
         )
         self._program_warnings += [warning.brief() for warning in warnings]
@@ -217,6 +243,8 @@ class ProgramHost:
     ) -> None:
         """Publish and subscribe the topics of the program; messages arrive from here on."""
         receivers = [self._send_text]
+        if self._forwarding is not None:
+            receivers.append(self._forwarding.forward)
         if not self._parameters.uses_texts:
             self._program.open_topics()
             self._texts.receive_outputs(self._subscribed.subscribe_texts, self._published.publish_text)
@@ -233,8 +261,9 @@ class ProgramHost:
         )
 
     def _send_text(self, term: Term, topic: str, name: Term) -> None:
-        # A rule may have added a subscription to a new topic.
-        self._program.untyped_topics.check(topic)
+        if self._forwarding is None or not self._forwarding.includes(topic):
+            # A rule may have added a subscription to a new topic.
+            self._program.untyped_topics.check(topic)
         self._texts.send_output(term, topic, name)
 
     def _start_transform_feed(self) -> None:
@@ -392,14 +421,17 @@ class ProgramHost:
 
     def _make_engine_health(self) -> Callable[[], List[Health]]:
         self._engine_health = engine_health = EngineHealth(*_work_limits(self._parameters))
+        forwarding = self._forwarding
 
         def evaluate() -> List[Health]:
+            now = time.monotonic()
             status = self.engine.status()
             status = status._replace(
                 errors=status.errors + log_counts.errors, warnings=status.warnings + log_counts.warnings
             )
             return [
-                *engine_health.evaluate(time.monotonic(), status, self._unstamped_events()),
+                *engine_health.evaluate(now, status, self._unstamped_events()),
+                *([] if forwarding is None else forwarding.evaluate(now)),
                 evaluate_program(list(self._errors), list(self._program_warnings)),
             ]
 

@@ -4,6 +4,7 @@ Messages are terms whose functor is derived from their type, so the number of sl
 compared with the message definition. A pattern with a value that its slot never has can never match.
 """
 
+from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any, Dict, Iterator, List, NamedTuple, Optional, Set, Tuple
 from xml.parsers import expat
@@ -353,10 +354,14 @@ def _constant_text(term: Term) -> str:
 def find_untyped_topics(program: ProgramModel) -> Iterator[RuleError]:
     """Yield topics of subscriptions that have no message type."""
     published = [strip_slashes(topic) for topic, _ in program.topics.published]
+    forwarded = [strip_slashes(topic) for topic in program.topics.forwarded]
     reported: Set[str] = set()
     for subscription, topic in _subscriptions_with_topic(program):
-        if topic in reported or any(
-            _may_be_same_topic(strip_slashes(topic), published_topic) for published_topic in published
+        name = strip_slashes(topic)
+        if (
+            topic in reported
+            or any(_may_be_same_topic(name, published_topic) for published_topic in published)
+            or any(fnmatchcase(name, pattern) for pattern in forwarded)
         ):
             continue
         reported.add(topic)

@@ -35,9 +35,11 @@ from .discrimination_tree import Plan, PushdownFilter, SwitchNode, make_plan, ma
 from .listeners import (
     CALL_LISTENERS,
     DEPTH,
+    END,
     GROUND,
     MAX_RECURSIVE_DEPTH,
     RESTORE_CAUSE,
+    START,
     TERM,
     TOKEN,
     Context,
@@ -430,6 +432,11 @@ class Dispatcher(ListenerIndex, StateOwner):
     next_token_number = NextNumber(
         "_tokens", "The number of the next event, if events are identified by numbers."
     )
+
+    @property
+    def current_interval(self) -> Optional[Tuple[int, int]]:
+        """Start and end in ns of the event that is being dispatched; None if there is none."""
+        return None if self.current is None else (self.current[START], self.current[END])
 
     def context_state(self) -> Tuple[Any, Any]:
         """Return the current context and cause, for `restore_context`."""

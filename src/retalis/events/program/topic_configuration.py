@@ -180,6 +180,7 @@ class Topics(NamedTuple):
         subscribed_quality: subscribed topics with demands on the quality of service.
         published_quality: published topics with such demands.
         strings: form of strings in messages: `QUOTED_STRINGS` or `PLAIN_STRINGS`.
+        forwarded: topics that a parameter of the node forwards, which need no type; ``*`` stands for any text.
     """
 
     subscribed: Tuple[TopicType, ...] = ()
@@ -189,6 +190,7 @@ class Topics(NamedTuple):
     subscribed_quality: Tuple[TopicQuality, ...] = ()
     published_quality: Tuple[TopicQuality, ...] = ()
     strings: str = QUOTED_STRINGS
+    forwarded: Tuple[str, ...] = ()
 
     def event_types(self) -> Dict[str, str]:
         """Return the message types by the event names that the topics define."""

@@ -1,0 +1,232 @@
+"""The queue of events in a file: order, ids, limits, restarts, damage."""
+
+import sqlite3
+from pathlib import Path
+from typing import Any, List
+
+import pytest
+
+from retalis import UsageError
+from retalis.forwarding import disk_queue
+from retalis.forwarding.disk_queue import DiskQueue, ForwardedEvent
+
+MEGABYTE = 1_000_000
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    return tmp_path / "queue.db"
+
+
+def events(*texts: str) -> List[ForwardedEvent]:
+    return [ForwardedEvent(4, 5, text) for text in texts]
+
+
+def take_all(queue: DiskQueue) -> List[Any]:
+    """Take the events that are not in flight; return their ids and texts."""
+    return [(queued.id, queued.event.text) for queued in queue.take(10_000, 100 * MEGABYTE)]
+
+
+def test_events_have_increasing_ids(path: Path) -> None:
+    queue = DiskQueue(path, MEGABYTE)
+    queue.append(events("a", "b"))
+    queue.append(events("c"))
+    (first, *_), session = queue.take(1, 100), queue.take(1, 100)[0].session
+    assert first == (session, 1, ForwardedEvent(4, 5, "a"))
+    assert take_all(queue) == [(3, "c")]
+    queue.close()
+
+
+def test_events_in_flight_return_to_queue(path: Path) -> None:
+    queue = DiskQueue(path, MEGABYTE)
+    queue.append(events("a", "b", "c"))
+    session = queue.take(2, 100)[0].session
+    queue.confirm(session, 1, 1)
+    queue.rewind()
+    assert take_all(queue) == [(2, "b"), (3, "c")]
+    assert queue.count == 2
+    queue.close()
+
+
+def test_length_of_taken_events_is_limited(path: Path) -> None:
+    queue = DiskQueue(path, MEGABYTE)
+    queue.append(events("a" * 90, "b" * 90, "c"))
+    assert [queued.id for queued in queue.take(10, 100)] == [1]
+    # A single event is returned in any case.
+    assert [queued.id for queued in queue.take(10, 1)] == [2]
+    queue.close()
+
+
+def test_restart_keeps_unconfirmed_events(path: Path) -> None:
+    queue = DiskQueue(path, MEGABYTE)
+    queue.append(events("a", "b", "c"))
+    session = queue.take(3, 100)[0].session
+    queue.confirm(session, 2, 2)
+    queue.close()
+    queue = DiskQueue(path, MEGABYTE)
+    assert queue.count == 1
+    (queued,) = queue.take(3, 100)
+    assert (queued.session, queued.id, queued.event.text) == (session, 3, "c")
+    queue.close()
+
+
+def test_ids_of_deleted_events_are_not_used_again(path: Path) -> None:
+    queue = DiskQueue(path, MEGABYTE)
+    queue.append(events("a", "b"))
+    queue.confirm(queue.take(2, 100)[0].session, 2, 2)
+    queue.close()
+    queue = DiskQueue(path, MEGABYTE)
+    queue.append(events("c"))
+    assert take_all(queue) == [(3, "c")]
+    queue.close()
+
+
+def test_ids_of_lost_events_are_left_out(path: Path) -> None:
+    queue = DiskQueue(path, MEGABYTE)
+    queue.append(events("a"))
+    queue.skip_ids(2)
+    queue.append(events("b"))
+    assert take_all(queue) == [(1, "a"), (4, "b")]
+    queue.close()
+
+
+def test_full_queue_drops_oldest_events(path: Path) -> None:
+    queue = DiskQueue(path, MEGABYTE)
+    dropped_count = sum(queue.append(events(*[f"{batch} {'x' * 1000}"] * 100)) for batch in range(20))
+    assert path.stat().st_size <= MEGABYTE
+    queued = take_all(queue)
+    assert dropped_count == 2000 - len(queued) == 2000 - queue.count
+    assert [id for id, _ in queued] == list(range(dropped_count + 1, 2001))
+    # Whole groups are dropped, so that the queue stays nearly full.
+    assert queue.count > 700
+    queue.close()
+
+
+def test_number_of_events_is_limited(path: Path) -> None:
+    queue = DiskQueue(path, MEGABYTE, max_events=250)
+    dropped_count = sum(queue.append(events(*"x" * 100)) for _ in range(4))
+    assert (dropped_count, queue.count) == (200, 200)
+    queue.close()
+
+
+def test_events_in_flight_are_not_dropped(path: Path) -> None:
+    queue = DiskQueue(path, MEGABYTE, max_events=250)
+    queue.append(events(*"x" * 100))
+    session = queue.take(50, 1000)[0].session
+    assert queue.append(events(*"y" * 200)) == 50
+    queue.confirm(session, 50, 50)
+    assert queue.count == 200
+    assert take_all(queue)[0] == (101, "y")
+    queue.close()
+
+
+def test_file_does_not_grow_with_time(path: Path) -> None:
+    queue = DiskQueue(path, 10 * MEGABYTE)
+    for _ in range(60):
+        queue.append(events(*["x" * 1000] * 100))
+        queued = queue.take(100, MEGABYTE)
+        queue.confirm(queued[-1].session, queued[-1].id, len(queued))
+    assert queue.used_bytes < MEGABYTE / 5
+    wal_size = Path(f"{path}-wal").stat().st_size
+    assert wal_size < 5 * MEGABYTE
+    queue.close()
+    assert path.stat().st_size < MEGABYTE / 5
+
+
+def test_empty_queue_releases_space(path: Path) -> None:
+    queue = DiskQueue(path, 10 * MEGABYTE)
+    for _ in range(5):
+        queue.append(events(*["x" * 1000] * 1000))
+    used_bytes = queue.used_bytes
+    queued = queue.take(5000, 10 * MEGABYTE)
+    queue.confirm(queued[-1].session, queued[-1].id, len(queued))
+    for _ in range(2):
+        queue.release()
+    assert used_bytes > 5 * MEGABYTE > 100 * queue.used_bytes
+    queue.append(events("a"))
+    assert take_all(queue) == [(5001, "a")]
+    queue.close()
+    assert path.stat().st_size < MEGABYTE / 10
+    assert not Path(f"{path}-wal").exists()
+
+
+def test_file_is_private(path: Path) -> None:
+    DiskQueue(path, MEGABYTE).close()
+    assert path.stat().st_mode & 0o777 == 0o600
+
+
+def test_queue_of_other_process_is_refused(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(disk_queue, "LOCK_TIMEOUT_SECONDS", 0.0)
+    queue = DiskQueue(path, MEGABYTE)
+    with pytest.raises(UsageError, match="another process uses it"):
+        DiskQueue(path, MEGABYTE)
+    queue.append(events("a"))
+    queue.close()
+
+
+def test_other_database_is_refused(path: Path) -> None:
+    database = sqlite3.connect(str(path))
+    database.execute("CREATE TABLE topics (name TEXT)")
+    database.close()
+    content = path.read_bytes()
+    with pytest.raises(UsageError, match="it is the database of another program"):
+        DiskQueue(path, MEGABYTE)
+    assert path.read_bytes() == content
+
+
+def test_newer_format_is_refused(path: Path) -> None:
+    DiskQueue(path, MEGABYTE).close()
+    database = sqlite3.connect(str(path))
+    database.execute("PRAGMA user_version = 2")
+    database.close()
+    with pytest.raises(
+        UsageError, match="it is a queue of format 2: expected a queue of format 1, or no file"
+    ):
+        DiskQueue(path, MEGABYTE)
+
+
+@pytest.mark.parametrize("name", ["missing/queue.db", ""])
+def test_impossible_path_is_refused(tmp_path: Path, name: str) -> None:
+    with pytest.raises(UsageError, match="cannot be created|expected a file"):
+        DiskQueue(tmp_path / name, MEGABYTE)
+
+
+def test_damaged_file_is_set_aside(path: Path) -> None:
+    path.write_text("no database\n" * 1000)
+    errors: List[Any] = []
+    queue = DiskQueue(path, MEGABYTE, on_damage=errors.append)
+    (error,) = errors
+    assert str(error).endswith(f"its events are lost; it is kept as {path}.aside, and a new queue begins")
+    assert Path(f"{path}.aside").read_text().startswith("no database")
+    queue.append(events("a"))
+    assert take_all(queue) == [(1, "a")]
+    assert queue.set_aside_count == 1
+    queue.close()
+
+
+def test_file_damaged_in_the_middle_is_set_aside(path: Path) -> None:
+    queue = DiskQueue(path, MEGABYTE)
+    queue.append(events(*["x" * 1000] * 200))
+    session = queue.take(1, 1)[0].session
+    queue.close()
+    content = bytearray(path.read_bytes())
+    content[20_000:120_000] = b"\xff" * 100_000
+    path.write_bytes(content)
+    queue = DiskQueue(path, MEGABYTE)
+    assert (queue.set_aside_count, queue.count) == (1, 0)
+    queue.append(events("a"))
+    (queued,) = queue.take(10, 1000)
+    assert queued.session != session
+    # Confirmations of the lost events do not affect the new ones.
+    queue.confirm(session, 100, 100)
+    assert queue.count == 1
+    queue.close()
+
+
+def test_number_of_damaged_files_is_limited(path: Path) -> None:
+    for number in range(6):
+        path.write_text(f"damaged {number} " * 1000)
+        DiskQueue(path, MEGABYTE).close()
+    names = sorted(file.name for file in path.parent.iterdir())
+    assert names == ["queue.db", "queue.db.aside", "queue.db.aside2", "queue.db.aside3"]
+    assert Path(f"{path}.aside3").read_text().startswith("damaged 5")
