@@ -183,7 +183,8 @@ def test_cut_message_of_bag_is_located(tmp_path: Path) -> None:
     path.write_bytes(content[: start + 60])
     assert re.fullmatch(
         "a.bag is incomplete: its index is missing: 28 messages were read, the last of time 28.000000000 s; "
-        f"60 bytes from byte {start} on were not, at least [0-9]+ bytes are missing",
+        f"60 bytes from byte {start} on were not, at least [0-9]+ bytes are missing, "
+        "the number of lost messages is unknown",
         describe(path),
     )
 
@@ -197,7 +198,7 @@ def test_bag_without_position_of_index_is_read(tmp_path: Path) -> None:
     path.write_bytes(content[:position])
     assert describe(path) == (
         "a.bag.active is incomplete: its index is missing: 40 messages were read, the last of time 40.000000000 s; "
-        "messages that the recorder had not written are lost"
+        "messages that the recorder had not written are lost, their number is unknown"
     )
     path.write_bytes(content)
     assert describe(path).endswith("the last of time 40.000000000 s; no message in it is lost")
@@ -257,12 +258,28 @@ def test_folder_without_metadata_is_bag(tmp_path: Path) -> None:
     assert [time for time, _ in read(folder)] == [SECOND, 2 * SECOND]
     assert describe(folder) == (
         "run is incomplete: its metadata.yaml is missing: 2 messages were read, the last of time 2.000000000 s; "
-        "messages that the recorder had not written are lost"
+        "messages that the recorder had not written are lost, their number is unknown"
     )
     assert [bag.name for bag in find_bags([str(tmp_path)])] == ["run"]
     assert [bag.name for bag in find_bags([str(folder)])] == ["run"]
     (folder / "metadata.yaml").touch()
     assert "its metadata.yaml is empty" in describe(folder)
+
+
+@pytest.mark.parametrize(
+    ("stated", "loss"),
+    [("30", "9 messages are lost"), ("22", "1 message is lost"), ("21", "is unknown"), ("x", "is unknown")],
+)
+def test_metadata_states_number_of_lost_messages(tmp_path: Path, stated: str, loss: str) -> None:
+    path = tmp_path / "a.mcap"
+    content = loose_mcap_file()
+    path.write_bytes(content[: content.index(b"22 22")])
+    (tmp_path / "metadata.yaml").write_text(
+        "rosbag2_bagfile_information:\n  storage_identifier: mcap\n  relative_file_paths: [a.mcap]\n"
+        f"  message_count: {stated}\n  topics_with_message_count:\n  - message_count: 7\n"
+    )
+    assert len(read(path)) == 21
+    assert describe(tmp_path).endswith(f" {loss}")
 
 
 def test_folder_with_other_files_is_not_bag(tmp_path: Path) -> None:
@@ -293,7 +310,8 @@ def test_write_ahead_log_makes_bag_incomplete(tmp_path: Path) -> None:
             (tmp_path / f"a.db3{suffix}").write_bytes((tmp_path / f"live.db3{suffix}").read_bytes())
     assert describe(path) == (
         "a.db3 is incomplete: its recorder has not closed it (it has a write-ahead log, which is read): "
-        "1 message was read, the last of time 1.000000000 s; messages that the recorder had not written are lost"
+        "1 message was read, the last of time 1.000000000 s; "
+        "messages that the recorder had not written are lost, their number is unknown"
     )
 
 

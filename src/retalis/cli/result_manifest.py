@@ -196,15 +196,22 @@ def _find_result(manifest: ResultManifest, content: Mapping[str, Any]) -> str:
 
 
 def _describe_result(target: str) -> List[List[str]]:
-    """Return what changes with the content of a result."""
+    """Return what changes with the content of a result.
+
+    Raises:
+        RetalisError: if it cannot be read.
+    """
     if is_url(target):
         return [[size, tag] for _, size, tag in list_file_versions(target, CONTENT_KEYS)]
     from hashlib import sha256  # noqa: PLC0415 - see `_digest`
 
     digest = sha256()
-    with open(target, "rb") as file:
-        for block in iter(lambda: file.read(_BLOCK_BYTES), b""):
-            digest.update(block)
+    try:
+        with open(target, "rb") as file:
+            for block in iter(lambda: file.read(_BLOCK_BYTES), b""):
+                digest.update(block)
+    except OSError as error:
+        raise RetalisError(f"{target} cannot be read: {error.strerror}") from error
     return [[digest.hexdigest()]]
 
 
@@ -262,6 +269,6 @@ def _read_outcome(manifest: ResultManifest) -> Union[Mapping[str, Any], str]:
         if content["result"] != _describe_result(result):
             return "a changed result"
         outcome: Mapping[str, Any] = dict(content["outcome"])
-    except (RetalisError, OSError, ValueError, KeyError, TypeError, AttributeError):
+    except (RetalisError, ValueError, KeyError, TypeError, AttributeError):
         return "an unreadable manifest"
     return outcome

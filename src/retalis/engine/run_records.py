@@ -98,13 +98,14 @@ class IncompleteFileRecord(TypedDict):
     position: Optional[int]
     unread_bytes: int
     missing_bytes: int
+    lost_messages: Optional[int]
     end: int
 
 
 OpenRecord = Union[OpenStateRecord, OpenWindowRecord]
 RunRecord = Union[EventRecord, WaitRecord, MemoryStateRecord, OpenRecord, OutputRecord, IncompleteFileRecord]
 
-LATER_FIELDS = frozenset(("name",))
+LATER_FIELDS = frozenset(("name", "lost_messages"))
 """Fields that records of earlier versions lack."""
 
 RECORD_TYPES = {

@@ -15,7 +15,7 @@ class IncompleteFile(NamedTuple):
     >>> file = IncompleteFile("a.bag", "its index is missing", 2, 1_500_000_000, 4200, 17)
     >>> print(file)  # doctest: +NORMALIZE_WHITESPACE
     a.bag is incomplete: its index is missing: 2 messages were read, the last of time 1.500000000 s;
-    17 bytes from byte 4200 on were not
+    17 bytes from byte 4200 on were not, the number of lost messages is unknown
 
     Attributes:
         path: path of the file, or of the folder that lacks ``metadata.yaml``.
@@ -26,6 +26,8 @@ class IncompleteFile(NamedTuple):
         unread_bytes: number of bytes from there to the end of the file.
         missing_bytes: minimum number of bytes that the file lacks by what it states; 0 if it states nothing.
         is_data_complete: whether all messages that the recorder had written are read.
+        lost_messages: number of messages that the recorder had written and that cannot be read; None if no file
+            states it.
     """
 
     path: str
@@ -36,6 +38,7 @@ class IncompleteFile(NamedTuple):
     unread_bytes: int = 0
     missing_bytes: int = 0
     is_data_complete: bool = False
+    lost_messages: Optional[int] = None
 
     def __str__(self) -> str:
         read_text = f"{format_count(self.messages, 'message')} {'was' if self.messages == 1 else 'were'} read"
@@ -57,4 +60,11 @@ class IncompleteFile(NamedTuple):
             losses.append(f"at least {format_count(self.missing_bytes, 'byte')} {verb} missing")
         if self.is_data_complete:
             losses.append("no message in it is lost")
-        return ", ".join(losses) or "messages that the recorder had not written are lost"
+        elif self.lost_messages is not None:
+            verb = "is" if self.lost_messages == 1 else "are"
+            losses.append(f"{format_count(self.lost_messages, 'message')} {verb} lost")
+        elif losses:
+            losses.append("the number of lost messages is unknown")
+        else:
+            losses.append("messages that the recorder had not written are lost, their number is unknown")
+        return ", ".join(losses)

@@ -749,5 +749,6 @@ def make_incomplete_file_record(file: IncompleteFile) -> IncompleteFileRecord:
         position=file.position,
         unread_bytes=file.unread_bytes,
         missing_bytes=file.missing_bytes,
+        lost_messages=0 if file.is_data_complete else file.lost_messages,
         end=file.end,
     )

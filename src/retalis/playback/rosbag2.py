@@ -329,6 +329,7 @@ class _Content(NamedTuple):
         paths: the path of each file.
         cut_paths: compressed files that are cut.
         problem: what is wrong with the metadata of a folder; empty if nothing is.
+        stated_messages: number of messages in all files; None if no metadata states it.
     """
 
     files: List[Storage]
@@ -336,9 +337,22 @@ class _Content(NamedTuple):
     paths: List[Path]
     cut_paths: List[Path]
     problem: str
+    stated_messages: Optional[int]
 
-    def list_incomplete_files(self, path: Path) -> Iterator[IncompleteFile]:
-        """Yield the files that are not complete, and the bag itself if its metadata is missing."""
+    def list_incomplete_files(self, path: Path) -> List[IncompleteFile]:
+        """Return the files that are not complete, and the bag itself if its metadata is missing."""
+        files = list(self._describe_incomplete_files(path))
+        # Several incomplete files share the lost messages, in unknown numbers. Metadata that was written for a file
+        # after it was cut states no lost message.
+        if len(files) == 1 and self.stated_messages is not None and not files[0].is_data_complete:
+            lost_count = self.stated_messages - sum(
+                connection.messages for file in self.files for connection in file.connections
+            )
+            if lost_count > 0:
+                files[0] = files[0]._replace(lost_messages=lost_count)
+        return files
+
+    def _describe_incomplete_files(self, path: Path) -> Iterator[IncompleteFile]:
         for file, file_path in zip(self.files, self.paths):
             incomplete = file.incomplete_file
             if file_path in self.cut_paths:
@@ -361,7 +375,7 @@ def _open_files(path: Path, limit: ChunkLimit, stack: ExitStack) -> _Content:
     import_rosbags("typesys")
     with ExitStack() as open_files:
         try:
-            paths, has_packed_messages, problem = _find_files(path)
+            paths, has_packed_messages, problem, stated_messages = _find_files(path)
             files: List[Storage] = []
             cut_paths: List[Path] = []
             for file in paths:
@@ -387,21 +401,22 @@ def _open_files(path: Path, limit: ChunkLimit, stack: ExitStack) -> _Content:
             raise BagError(f"{path} is not a complete ROS 2 bag: {describe_error(error)}") from error
         # Handed over only after all files were opened: an error above closes those that are open already.
         stack.push(open_files.pop_all())
-    return _Content(files, has_packed_messages, paths, cut_paths, problem)
+    return _Content(files, has_packed_messages, paths, cut_paths, problem, stated_messages)
 
 
-def _find_files(path: Path) -> Tuple[List[Path], Optional[bool], str]:
+def _find_files(path: Path) -> Tuple[List[Path], Optional[bool], str, Optional[int]]:
     """Return the files of a bag in their order, and see `_Content` for the other values.
 
     Raises:
         ValueError: if the metadata is invalid, or there is none and the files are not those of one recording.
     """
     if not path.is_dir():
-        return [path], None, ""
+        return [path], None, "", None
     metadata = path / METADATA
     # The recorder writes the metadata last.
     if metadata.is_file() and metadata.stat().st_size:
-        return (*_read_metadata(metadata), "")
+        files, has_packed_messages, stated_messages = _read_metadata(metadata)
+        return files, has_packed_messages, "", stated_messages
     names = [file.name for file in path.iterdir() if file.is_file()]
     parts = _list_parts(path.resolve().name, names)
     if not parts:
@@ -410,7 +425,7 @@ def _find_files(path: Path) -> Tuple[List[Path], Optional[bool], str]:
             f"{path.resolve().name}_0.mcap or .db3 and so on"
         )
     problem = f"its {METADATA} is {'empty' if metadata.is_file() else 'missing'}"
-    return [path / name for name in parts], None, problem
+    return [path / name for name in parts], None, problem, None
 
 
 def is_ros2_bag(folder_name: str, names: Collection[str]) -> bool:
@@ -443,8 +458,8 @@ def _list_parts(folder_name: str, names: Iterable[str]) -> List[str]:
     return [parts[number] for number in sorted(parts)]
 
 
-def _read_metadata(path: Path) -> Tuple[List[Path], bool]:
-    """Return the files of a bag in their order, and whether messages are compressed individually.
+def _read_metadata(path: Path) -> Tuple[List[Path], bool, Optional[int]]:
+    """Return the files of a bag in their order, whether messages are compressed individually, and their number.
 
     Raises:
         ValueError: if the metadata is invalid.
@@ -481,18 +496,24 @@ def _read_metadata(path: Path) -> Tuple[List[Path], bool]:
             )
         if not file.is_file():
             raise ValueError(f"its file {file.name} is missing")
-    return files, mode == "message"
+    count = "".join(values.get(_MESSAGE_COUNT, []))
+    is_count = count.isdecimal() and len(count) < _MAX_COUNT_DIGITS
+    return files, mode == "message", int(count) if is_count else None
 
 
 _SUFFIXES_OF_STORAGE = {"sqlite3": (".db3",), "mcap": (".mcap",), "": (".db3", ".mcap")}
 """Suffixes by ``storage_identifier``. ``ros2 bag reindex`` can leave that empty; then the suffix decides."""
 
 _METADATA_SCALARS = ("storage_identifier", "compression_mode", "compression_format")
-_METADATA_KEYS = (*_METADATA_SCALARS, "relative_file_paths")
+_MESSAGE_COUNT = "message_count"
+_METADATA_KEYS = (*_METADATA_SCALARS, "relative_file_paths", _MESSAGE_COUNT)
+
+_MAX_COUNT_DIGITS = 20
+"""Length from which on a number of messages is ignored."""
 
 
 def _parse_metadata(text: str) -> Dict[str, List[str]]:
-    """Return the values of the four keys in `_METADATA_KEYS`, each as a list.
+    """Return the values of the five keys in `_METADATA_KEYS`, each as a list.
 
     A complete YAML parser takes 10 s for 5,000 brackets, and does not terminate for a mapping that is merged three
     times into each of forty others. This one parses the form that ``ros2 bag`` and ``rosbags`` write: the keys on
