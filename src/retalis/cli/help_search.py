@@ -233,15 +233,15 @@ def read_situations() -> List[Situation]:
 
 def _situation_entry(situation: Situation) -> HelpEntry:
     return HelpEntry(
-        _SITUATION,
-        situation.need,
-        situation.solution,
-        situation.example,
-        situation.page,
-        _stems_of(situation.need),
-        _stems_of(f"{situation.solution} {situation.keywords}"),
-        frozenset(),
-        _SITUATION_FACTOR,
+        kind=_SITUATION,
+        title=situation.need,
+        excerpt=situation.solution,
+        example=situation.example,
+        page=situation.page,
+        title_stems=_stems_of(situation.need),
+        keyword_stems=_stems_of(f"{situation.solution} {situation.keywords}"),
+        text_stems=frozenset(),
+        factor=_SITUATION_FACTOR,
     )
 
 
@@ -286,15 +286,15 @@ def _section_entries(page: str, text: str) -> Iterator[HelpEntry]:
         title = heading if heading == page_title else f"{page_title}: {heading}"
         words = " ".join(_plain(body).split()[:_MAX_SECTION_WORDS])
         yield HelpEntry(
-            _SECTION,
-            title,
-            words,
-            None,
-            f"docs/{page}",
-            _stems_of(title),
-            frozenset(),
-            _stems_of(words),
-            factor,
+            kind=_SECTION,
+            title=title,
+            excerpt=words,
+            example=None,
+            page=f"docs/{page}",
+            title_stems=_stems_of(title),
+            keyword_stems=frozenset(),
+            text_stems=_stems_of(words),
+            factor=factor,
         )
 
 
@@ -309,15 +309,15 @@ def _program_entries(root: Path) -> Iterator[HelpEntry]:
         heading = text.partition("\n")[0].lstrip("# ")
         words = " ".join(body for _, body in _sections(text))
         yield HelpEntry(
-            _PROGRAM,
-            f"Program {name}",
-            situation,
-            None,
-            f"{_COOKBOOK}/{page}",
-            _stems_of(f"{name} {heading}".replace("_", " ")),
-            _stems_of(situation),
-            _stems_of(" ".join(_plain(words).split()[:_MAX_SECTION_WORDS])),
-            _GUIDE_FACTOR,
+            kind=_PROGRAM,
+            title=f"Program {name}",
+            excerpt=situation,
+            example=None,
+            page=f"{_COOKBOOK}/{page}",
+            title_stems=_stems_of(f"{name} {heading}".replace("_", " ")),
+            keyword_stems=_stems_of(situation),
+            text_stems=_stems_of(" ".join(_plain(words).split()[:_MAX_SECTION_WORDS])),
+            factor=_GUIDE_FACTOR,
         )
 
 
@@ -346,15 +346,15 @@ def _predicate_entries(page: str, text: str) -> Iterator[HelpEntry]:
         cells = [_plain(cell.replace("\0", "|")) for cell in line.replace("\\|", "\0").split("|")[1:-1]]
         if len(cells) >= 5 and cells[0].partition("/")[2][:1].isdigit():
             yield HelpEntry(
-                _PREDICATE,
-                cells[1],
-                cells[2],
-                f"?- {cells[4]}.",
-                f"docs/{page}",
-                _stems_of(cells[0].replace("_", " ")),
-                frozenset((stem_word(cells[0].partition("/")[0]),)),
-                _stems_of(cells[2]),
-                _PREDICATE_FACTOR,
+                kind=_PREDICATE,
+                title=cells[1],
+                excerpt=cells[2],
+                example=f"?- {cells[4]}.",
+                page=f"docs/{page}",
+                title_stems=_stems_of(cells[0].replace("_", " ")),
+                keyword_stems=frozenset((stem_word(cells[0].partition("/")[0]),)),
+                text_stems=_stems_of(cells[2]),
+                factor=_PREDICATE_FACTOR,
             )
 
 

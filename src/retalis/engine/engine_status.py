@@ -522,20 +522,20 @@ def _list_rules(
     def read_status(rule: Any) -> RuleStatus:
         metrics = rule.metrics
         return RuleStatus(
-            "" if rule.label is None else format_brief(rule.label),
-            format_term(rule.definition.term, rule.definition.names),
-            "" if rule.place is None else str(rule.place),
-            metrics.firing_count,
-            None if metrics.last_end is None else int(metrics.last_end),
-            metrics.error_count,
-            rule.match_count,
-            rule.dropped_count,
-            rule.keys,
-            rule.bytes,
-            rule.watermark_delay,
-            rule.late_count,
-            rule.ahead_count,
-            rule.name,
+            label="" if rule.label is None else format_brief(rule.label),
+            text=format_term(rule.definition.term, rule.definition.names),
+            place="" if rule.place is None else str(rule.place),
+            fired=metrics.firing_count,
+            last_fired=None if metrics.last_end is None else int(metrics.last_end),
+            errors=metrics.error_count,
+            waiting=rule.match_count,
+            dropped=rule.dropped_count,
+            keys=rule.keys,
+            bytes=rule.bytes,
+            delay=rule.watermark_delay,
+            late=rule.late_count,
+            ahead=rule.ahead_count,
+            name=rule.name,
         )
 
     return tuple([read_status(rule) for rule in listed]), len(all_rules) - len(listed)

@@ -409,14 +409,14 @@ class ProgramHost:
         except RetalisError as error:
             self._errors += log_error(error)
         self._dashboard = NodeDashboard(
-            transport,
-            self._reports,
-            parameters.dashboard,
-            parameters.dashboard_queries,
-            self.engine,
-            self._subscribed.statuses,
-            [*self._topics.subscribed, *self._program.direct],
-            lambda: self.engine.with_requested_topics(self._topics).events,
+            transport=transport,
+            reports=self._reports,
+            port=parameters.dashboard,
+            allow_queries=parameters.dashboard_queries,
+            engine=self.engine,
+            inputs=self._subscribed.statuses,
+            program_topics=[*self._topics.subscribed, *self._program.direct],
+            event_names=lambda: self.engine.with_requested_topics(self._topics).events,
         )
 
     def _make_engine_health(self) -> Callable[[], List[Health]]:

@@ -472,15 +472,15 @@ class SubscribedTopic:
         counts.needs_lag = True
         age = None if counts.last is None else time.monotonic() - counts.last
         return InputStatus(
-            self.request.topic,
-            self.request.message_type,
-            sum(subscription.publisher_count() for subscription in self._subscriptions),
-            counts.messages,
-            counts.dropped,
-            counts.refused,
-            counts.missing,
-            age,
-            counts.lag,
+            topic=self.request.topic,
+            type=self.request.message_type,
+            publishers=sum(subscription.publisher_count() for subscription in self._subscriptions),
+            messages=counts.messages,
+            dropped=counts.dropped,
+            refused=counts.refused,
+            missing=counts.missing,
+            age=age,
+            lag=counts.lag,
         )
 
     def publishers(self) -> List[str]:

@@ -277,12 +277,12 @@ class McapFile:
         self._data_end = position
         self._set_totals(totals)
         self.incomplete_file = IncompleteFile(
-            "",
-            "it has no footer",
-            sum(totals.counts.values()),
-            self.end,
-            position,
-            0 if is_data_complete else self._size - position,
+            path="",
+            problem="it has no footer",
+            messages=sum(totals.counts.values()),
+            end=self.end,
+            position=position,
+            unread_bytes=0 if is_data_complete else self._size - position,
             is_data_complete=is_data_complete,
         )
 

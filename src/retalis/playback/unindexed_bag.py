@@ -133,14 +133,14 @@ class UnindexedBag:
         self.end_time = last_time + 1
         self._chunks.sort(key=attrgetter("start", "end", "record.data_position"))
         self.incomplete_file = IncompleteFile(
-            str(path),
-            problem.text,
-            sum(self._counts.values()),
-            last_time,
-            position,
-            0 if is_data_complete else self._size - position,
-            max(0, problem.position - self._size),
-            is_data_complete,
+            path=str(path),
+            problem=problem.text,
+            messages=sum(self._counts.values()),
+            end=last_time,
+            position=position,
+            unread_bytes=0 if is_data_complete else self._size - position,
+            missing_bytes=max(0, problem.position - self._size),
+            is_data_complete=is_data_complete,
         )
 
     def read(self, ids: Collection[int], start: Optional[int], stop: Optional[int]) -> Iterator[Message]:

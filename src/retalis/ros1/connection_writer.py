@@ -143,14 +143,14 @@ class TopicWriter:
             receiver = self._receivers.get(connection)
             if receiver is None:
                 new_receiver = _Receiver(
-                    connection,
-                    self._close_connection,
-                    self.publisher.name,
-                    self._max_queued,
-                    self._reports,
-                    self._must_wait_for,
-                    self.counts,
-                    self._wait_hint,
+                    connection=connection,
+                    close_connection=self._close_connection,
+                    topic=self.publisher.name,
+                    queue_size=self._max_queued,
+                    reports=self._reports,
+                    must_wait_for=self._must_wait_for,
+                    counts=self.counts,
+                    wait_hint=self._wait_hint,
                 )
                 receiver = self._receivers.setdefault(connection, new_receiver)
             try:

@@ -360,16 +360,16 @@ class _CaseReader:
         times += [answer.time for answer in expectations.answers if answer.time is not None]
         self._check_end(end, times)
         return Case(
-            name,
-            self._read_program(),
-            None if start is None else timestamps.from_seconds(start),
-            tuple(sorted(events, key=lambda event: event.time)),
-            tuple(sorted(messages, key=lambda message: message.time)),
-            tuple(bags),
-            end,
-            expectations,
-            self._read_timeout(),
-            self._case.place,
+            name=name,
+            program=self._read_program(),
+            start=None if start is None else timestamps.from_seconds(start),
+            events=tuple(sorted(events, key=lambda event: event.time)),
+            messages=tuple(sorted(messages, key=lambda message: message.time)),
+            bags=tuple(bags),
+            end=end,
+            expectations=expectations,
+            timeout=self._read_timeout(),
+            place=self._case.place,
         )
 
     def _read_timeout(self) -> float:
@@ -400,16 +400,18 @@ class _CaseReader:
         topics = values["topics"].mapping() if "topics" in values else {}
         parameters = values["parameters"].mapping() if "parameters" in values else {}
         return CaseProgram(
-            folder,
-            _read_source_text(values, "rules"),
-            _read_source_text(values, "goals"),
-            tuple((topic, value.text()) for topic, value in topics.items()),
-            tuple(_read_terms(values, "facts")),
-            tuple(_read_node_parameters(parameters)),
-            self._path,
-            tuple(_read_services(values)),
-            tuple((name, value.plain()) for name, value in parameters.items() if _is_ros_name(name)),
-            "parameters" in values,
+            folder=folder,
+            rules=_read_source_text(values, "rules"),
+            goals=_read_source_text(values, "goals"),
+            topics=tuple((topic, value.text()) for topic, value in topics.items()),
+            facts=tuple(_read_terms(values, "facts")),
+            parameters=tuple(_read_node_parameters(parameters)),
+            path=self._path,
+            services=tuple(_read_services(values)),
+            ros_parameters=tuple(
+                (name, value.plain()) for name, value in parameters.items() if _is_ros_name(name)
+            ),
+            has_parameters="parameters" in values,
         )
 
     def _read_input(self) -> Tuple[List[CaseEvent], List[CaseMessage], List[InputBag]]:
@@ -571,17 +573,17 @@ class _ItemReader:
         if "message" in values:
             values["message"].mapping()
         return ExpectedItem(
-            _read_term(values[term_key]) if term_key in values else None,
-            values.get("message"),
-            values["topic"].text() if "topic" in values else None,
-            _read_term(values["id"]) if "id" in values else None,
-            _read_time(values, "at"),
-            timestamps.from_seconds(values["start"].number()) if "start" in values else None,
-            self._within if within is None else within,
-            tolerance,
-            {name: _read_tolerance(value, tolerance) for name, value in slots.items()},
-            _read_count(values["count"]) if "count" in values else None,
-            item.place,
+            term=_read_term(values[term_key]) if term_key in values else None,
+            message=values.get("message"),
+            topic=values["topic"].text() if "topic" in values else None,
+            id=_read_term(values["id"]) if "id" in values else None,
+            time=_read_time(values, "at"),
+            start=timestamps.from_seconds(values["start"].number()) if "start" in values else None,
+            within=self._within if within is None else within,
+            tolerance=tolerance,
+            slot_tolerances={name: _read_tolerance(value, tolerance) for name, value in slots.items()},
+            occurrences=_read_count(values["count"]) if "count" in values else None,
+            place=item.place,
         )
 
 

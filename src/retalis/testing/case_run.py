@@ -272,14 +272,14 @@ def run_case(
         if has_differences and case.mutations is None:
             failures = _explain_failures(case, definitions, run.failures, failures)
         result = CaseResult(
-            (),
-            tuple(run.problems.warnings),
-            0.0,
-            run.golden_lines,
-            tuple(run.coverage()),
-            len(run.failures) == run.golden_failure_count,
-            None if case.mutations is None else run.outcome(),
-            run.incomplete_files,
+            failures=(),
+            warnings=tuple(run.problems.warnings),
+            seconds=0.0,
+            golden_lines=run.golden_lines,
+            coverage=tuple(run.coverage()),
+            only_golden_differs=len(run.failures) == run.golden_failure_count,
+            outcome=None if case.mutations is None else run.outcome(),
+            incomplete_files=run.incomplete_files,
         )
     except RetalisError as error:
         failures, result = [str(error)], CaseResult((), (), 0.0)

@@ -50,17 +50,17 @@ def _parse_line(line: str, place: Place) -> ExpectedItem:
     if not (subscription_id is None or isinstance(subscription_id, str)):
         raise CaseFileError("field 'id': expected a str or null", place)
     return ExpectedItem(
-        TermText(record["output"], place),
-        None,
-        record["topic"],
-        None if subscription_id is None else TermText(subscription_id, place),
-        timestamps.from_seconds(record["time"]),
-        None,
-        DEFAULT_WITHIN,
-        Tolerance(),
-        {},
-        None,
-        place,
+        term=TermText(record["output"], place),
+        message=None,
+        topic=record["topic"],
+        id=None if subscription_id is None else TermText(subscription_id, place),
+        time=timestamps.from_seconds(record["time"]),
+        start=None,
+        within=DEFAULT_WITHIN,
+        tolerance=Tolerance(),
+        slot_tolerances={},
+        occurrences=None,
+        place=place,
     )
 
 

@@ -115,7 +115,14 @@ class ListenerIndex:
             matcher = self._matchers[key] = compile_matcher(pattern)
         order = (int(phase), *(rank or (next(self._numbers),)), next(self._numbers))
         listener = Listener(
-            order, pattern, functor, matcher, action, is_fused, unread_positions, accepts_unread
+            order=order,
+            pattern=pattern,
+            functor=functor,
+            matcher=matcher,
+            action=action,
+            is_fused=is_fused,
+            unread_positions=unread_positions,
+            accepts_unread=accepts_unread,
         )
         self._listeners.setdefault(functor, {})[listener] = None
         # The listener must be in the table before the next call, see `ArgumentProjection.announce`.

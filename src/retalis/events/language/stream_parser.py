@@ -235,7 +235,16 @@ def parse_window(reader: "PatternReader", term: CompoundTerm) -> WindowPattern:
         raise reader.create_error("rate needs a window of at least two events", term, 4)
     names, settings, values = zip(*measures)
     is_listed = listed_measures is not None and result_terms is None
-    return WindowPattern(collected, names, settings, values, results, is_listed, window, scopes)
+    return WindowPattern(
+        collected=collected,
+        kinds=names,
+        settings=settings,
+        values=values,
+        results=results,
+        is_listed=is_listed,
+        window=window,
+        scopes=scopes,
+    )
 
 
 def _split_step_restriction(measure: Any) -> Tuple[Any, Any]:

@@ -391,15 +391,15 @@ class JoinNode(NetworkNode):
         # At the root, the pair is not created as a match: its values go directly to the head.
         completion = rule.completion if rule.root is self else None
         pair = FusedPair(
-            (self.left.values_are_arguments, self.right.values_are_arguments),
-            self.operator,
-            self.span,
-            list(zip(self.vars, self.value_sources)),
-            [negation.forbids_pair for negation in self.negations],
-            self.tests,
-            self.vars[len(self.value_sources) :],
-            computed_values_getter(self.vars, len(self.value_sources), self.shared_vars),
-            completion,
+            values_are_arguments=(self.left.values_are_arguments, self.right.values_are_arguments),
+            operator=self.operator,
+            span=self.span,
+            value_sources=list(zip(self.vars, self.value_sources)),
+            negation_tests=[negation.forbids_pair for negation in self.negations],
+            tests=self.tests,
+            condition_vars=self.vars[len(self.value_sources) :],
+            computed_values=computed_values_getter(self.vars, len(self.value_sources), self.shared_vars),
+            complete=completion,
         )
         newest, consumes = options.policy.prefers_newest, options.policy.consumes_partners
         choice = PartnerChoice(newest, consumes, join_one_of_others(side, newest, emit)) if joins else None

@@ -504,16 +504,16 @@ class RepeatNode(NetworkNode):
             left: Any = self._relays[0]
             for length, relay in enumerate(self._relays[1:], 1):
                 left = JoinNode(
-                    self.rule,
-                    _SEQ,
-                    left,
-                    relay,
-                    shared_vars,
-                    None,
-                    (),
-                    True,
-                    False,
-                    self._identity_functions_for(length),
+                    rule=self.rule,
+                    operator=_SEQ,
+                    left=left,
+                    right=relay,
+                    shared_vars=shared_vars,
+                    gap=None,
+                    interval_vars=(),
+                    shares_events=True,
+                    has_instants=False,
+                    identity_functions=self._identity_functions_for(length),
                 )
                 left.left_buffer = self._buffer(length)
                 left.right_buffer.is_negated = self.is_negated

@@ -468,16 +468,19 @@ class RuleCompiler(StreamCompiler):
         gap = (Var(), Var()) if required_vars else None
         self.shared_vars |= set(gap or ())
         node = JoinNode(
-            self.rule,
-            PAIR_OPERATORS[pair.operator],
-            left.node,
-            right.node,
-            self.shared_vars,
-            gap,
-            [(condition.start, condition.end) for condition in newly_deferred],
-            may_share_event(left, right),
-            has_instants(pair),
-            (self._identity_function(left, pair.left), self._identity_function(right, pair.right)),
+            rule=self.rule,
+            operator=PAIR_OPERATORS[pair.operator],
+            left=left.node,
+            right=right.node,
+            shared_vars=self.shared_vars,
+            gap=gap,
+            interval_vars=[(condition.start, condition.end) for condition in newly_deferred],
+            shares_events=may_share_event(left, right),
+            has_instants=has_instants(pair),
+            identity_functions=(
+                self._identity_function(left, pair.left),
+                self._identity_function(right, pair.right),
+            ),
         )
         node.left_can_be_revived = may_be_revived(pair.left)
         node.right_can_be_revived = may_be_revived(pair.right)
