@@ -33,6 +33,7 @@ def _install(session: nox.Session) -> None:
         "pygls<2",
         "setuptools",
         "wheel",
+        *(() if oldest else ("duckdb", "pandas", "pyarrow")),
     )
     session.env["PYTHONPATH"] = ""  # packages of a sourced ROS are for another Python
 

@@ -1,6 +1,7 @@
 """Tasks of workers: playback of one bag of several."""
 
 import argparse
+import csv
 import json
 import os
 import sys
@@ -74,6 +75,24 @@ def test_result_has_requested_format(
     assert capsys.readouterr() == ("", "")
 
 
+@pytest.mark.parametrize("name", ["s.parquet", "s.csv"])
+def test_table_has_messages_of_outputs(program: Any, tmp_path: Path, name: str) -> None:
+    table_format = name.partition(".")[2]
+    bag = make_bag(tmp_path / "a.bag", "x")
+    if table_format == "parquet":
+        parquet = pytest.importorskip("pyarrow.parquet")
+    task = make_task(program, bag, tmp_path / name, table_format)._replace(labels={"bag": "b", "robot": "r7"})
+    assert play_bag(task, str(tmp_path)) == BagOutcome(0, "")
+    if table_format == "parquet":
+        rows = parquet.read_table(tmp_path / name).to_pylist()
+        assert [row["message"] for row in rows] == [None, {"said": {"data": "x"}}]
+    else:
+        with (tmp_path / name).open(encoding="utf-8", newline="") as file:
+            rows = list(csv.DictReader(file))
+        assert [row["message.said.data"] for row in rows] == ["", "x"]
+    assert [row["robot"] for row in rows] == ["r7", "r7"]
+
+
 def test_part_continues_from_state_of_previous_part(program: Any, tmp_path: Path) -> None:
     """A pattern begins in one part and ends in the next one."""
     first = make_task(program, make_bag(tmp_path / "a_0.bag", "x"), tmp_path / "0", "jsonl")
@@ -105,13 +124,16 @@ def test_mcap_result_has_published_messages(program: Any, tmp_path: Path) -> Non
         ] * 3
 
 
-def test_failed_playback_leaves_no_file(program: Any, tmp_path: Path) -> None:
+@pytest.mark.parametrize("result_format", ["jsonl", "csv", "parquet"])
+def test_failed_playback_leaves_no_file(program: Any, tmp_path: Path, result_format: str) -> None:
+    if result_format == "parquet":
+        pytest.importorskip("pyarrow")
     bag = make_bag(tmp_path / "a.bag", *(f"text {number}" for number in range(300)))
     with open(bag, "r+b") as file:
         file.seek(5000)
         file.write(b"\xff" * 5000)
     before = set(os.listdir(tmp_path))
-    result = play_bag(make_task(program, bag, tmp_path / "result", "jsonl"), str(tmp_path))
+    result = play_bag(make_task(program, bag, tmp_path / "result", result_format), str(tmp_path))
     assert required(result.failure).startswith(f"{bag}")
     assert set(os.listdir(tmp_path)) == before
 

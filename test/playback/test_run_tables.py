@@ -253,7 +253,20 @@ def test_topics_beyond_limit_have_no_columns(
     assert "topic b: its messages have no columns" in caplog.text
 
 
+def test_deeply_nested_messages_have_no_columns(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    definitions = Definitions()
+    definitions.add("lab/Level0", "bool a")
+    for level in range(1, 30):
+        definitions.add(f"lab/Level{level}", f"lab/Level{level - 1}[] a")
+    types = {f"/t{level}": definitions.find(f"lab/Level{level}") for level in (19, 20)}
+    with caplog.at_level(logging.WARNING), CsvTable(tmp_path / "c", {}, has_events=False) as table:
+        table.begin(types, definitions, 0, 0)
+    assert [name for name in read_csv(tmp_path / "c")[0] if name.startswith("message")] == ["message.t19.a"]
+    assert "topic t20: its messages have no columns, because they would be nested more than 60" in caplog.text
+
+
 def test_integers_beyond_64_bits_are_null(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    pytest.importorskip("pyarrow")
     far = {"event": "e", "start": -(1 << 70), "end": 1 << 70}
     with caplog.at_level(logging.WARNING):
         write_table(ParquetTable, tmp_path / "p", [far, far], has_events=True)

@@ -48,10 +48,13 @@ log = logging.getLogger("retalis")
 MAX_MESSAGE_COLUMNS = 10_000
 """Maximum number of scalar and array columns of messages; the messages of further topics have no columns."""
 
+MAX_MESSAGE_LEVELS = 60
+"""Maximum depth of a message in Parquet's schema, in which a list has two levels: pyarrow reads at most 100."""
+
 _ROW_GROUP_SIZE = 10_000
 """Maximum number of rows in a row group."""
 
-_ROW_GROUP_BYTES = 1 << 24
+_ROW_GROUP_BYTES = 1 << 23
 """Size of texts and messages from which a row group is written, so that large messages do not fill the memory."""
 
 INCOMPLETE_FILES_KEY = "retalis.incomplete_files"
@@ -157,6 +160,10 @@ def _count_leaves(columns: Iterable[TableColumn]) -> int:
     return sum(_count_leaves(column.fields) if column.fields else 1 for column in columns)
 
 
+def _count_levels(columns: Iterable[TableColumn]) -> int:
+    return max((1 + 2 * column.is_list + _count_levels(column.fields) for column in columns), default=0)
+
+
 class RunTable:
     """A new table with the records of a playback; a context manager. The file is complete when it is closed.
 
@@ -194,12 +201,13 @@ class RunTable:
             topic = strip_slashes(full_name)
             fields = message_columns(definition)
             leaf_count = max(1, _count_leaves(fields))
+            problem = ""
             if count + leaf_count > MAX_MESSAGE_COLUMNS:
-                log.warning(
-                    "topic %s: its messages have no columns, because all messages would have more than %s",
-                    topic,
-                    MAX_MESSAGE_COLUMNS,
-                )
+                problem = f"all messages would have more than {MAX_MESSAGE_COLUMNS}"
+            elif _count_levels(fields) > MAX_MESSAGE_LEVELS:
+                problem = f"they would be nested more than {MAX_MESSAGE_LEVELS} deep"
+            if problem:
+                log.warning("topic %s: its messages have no columns, because %s", topic, problem)
                 continue
             count += leaf_count
             name = _make_unique(topic, names)
@@ -209,7 +217,7 @@ class RunTable:
         self._shared = {**self._labels, "incomplete": bool(self._incomplete_files)}
         columns = _list_columns(self._labels, tuple(self._topics.values()), self._has_events)
         self._open(columns)
-        self._write_row({"kind": "bag", "start": start or None, "end": end or None}, "", None)
+        self._write_row({"kind": "bag", "start": start if end else None, "end": end or None}, "", None)
 
     def write(self, record: Mapping[str, Any], output: Optional[Output] = None) -> None:
         """Write a record as a row, with the message of an output.
