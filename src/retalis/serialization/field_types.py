@@ -760,8 +760,8 @@ def references(*kinds: str) -> FieldType[Sequence[object]]:
     )
 
 
-def parts_of(*kinds: str, accepts: FieldType[Any]) -> FieldType[Optional[Tuple[object, ...]]]:
-    """Return the type of parts that an object consists of: objects as numbers, other values as sequences of one item.
+def objects_and_values(*kinds: str, accepts: FieldType[Any]) -> FieldType[Optional[Tuple[object, ...]]]:
+    """Return the type of sequences of objects, stored as numbers, and other values, stored as sequences of one item.
 
     Args:
         kinds: kinds of the objects.
