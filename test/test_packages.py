@@ -53,9 +53,6 @@ ORDER = (
 )
 """The packages from the lowest to the highest: each imports only packages before it."""
 
-OWNERS_IN_ANNOTATIONS = (("prolog.machine.machine", "prolog.system.prolog_system"),)
-"""Modules of the Prolog system that name their owner in a higher package, in annotations only."""
-
 REPEATED_NAMES = {"errors", "types", "parser", "protocols", "__init__"}
 """Names that modules of several packages may have."""
 
@@ -91,18 +88,8 @@ def test_annotations_name_no_package_above(package: str) -> None:
         if module.package == package
         for target in module.own_imports(for_annotations=True)
         if MODULES[target].package not in (package, *below)
-        and (module.name, target) not in OWNERS_IN_ANNOTATIONS
     ]
     assert not upward_imports, "\n".join(upward_imports)
-
-
-def test_owners_are_named_in_annotations() -> None:
-    named = {
-        (module.name, target)
-        for module in MODULES.values()
-        for target in module.own_imports(for_annotations=True)
-    }
-    assert set(OWNERS_IN_ANNOTATIONS) <= named
 
 
 def test_imports_of_modules_have_no_cycle() -> None:

@@ -9,7 +9,7 @@ from typing import Any, Callable, Dict, List, Optional, Tuple
 
 from ..machine.arithmetic import EVALUABLE, Number, add, evaluate
 from ..machine.errors import domain_error, instantiation_error, type_error
-from ..machine.machine import Code, Machine
+from ..machine.machine import Code
 from ..terms.list_terms import make_list
 from ..terms.term_traversal import copy, variables
 from ..terms.types import (
@@ -30,7 +30,7 @@ from ..terms.types import (
 )
 from ..terms.unification import unify
 from .argument_checks import is_iso, natural, partial_items
-from .builtin_registry import control
+from .builtin_registry import ProgramMachine, control
 from .list_predicates import sort_by, sort_unique
 from .term_tests_and_arithmetic import is_variant
 
@@ -38,7 +38,7 @@ _HAT = functor("^", 2)
 _MAX, _MIN = EVALUABLE[functor("max", 2)], EVALUABLE[functor("min", 2)]
 
 
-def _strip_quantifiers(machine: Machine, goal: Term) -> Tuple[Term, List[Term]]:
+def _strip_quantifiers(machine: ProgramMachine, goal: Term) -> Tuple[Term, List[Term]]:
     """Return the goal inside ``Var^Goal``, and the terms on the left of each ``^``."""
     quantified = []
     goal = deref(goal)
@@ -51,10 +51,10 @@ def _strip_quantifiers(machine: Machine, goal: Term) -> Tuple[Term, List[Term]]:
     return goal, quantified
 
 
-def _grouped_solutions(sort: bool) -> Callable[[Machine, Values, Frame], Optional[Frame]]:
+def _grouped_solutions(sort: bool) -> Callable[[ProgramMachine, Values, Frame], Optional[Frame]]:
     """Return the implementation of ``setof/3`` if ``sort``, otherwise of ``bagof/3``."""
 
-    def run(machine: Machine, args: Values, continuation: Frame) -> Optional[Frame]:
+    def run(machine: ProgramMachine, args: Values, continuation: Frame) -> Optional[Frame]:
         template, goal, result = args
         # ISO 13211-1 requires the check of the result before the goal runs; SWI-Prolog omits it.
         if is_iso(machine):
@@ -123,7 +123,7 @@ def _group_by_witness(pairs: List[Any]) -> List[Tuple[Term, List[Term]]]:
 
 
 def _enumerate_groups(
-    machine: Machine,
+    machine: ProgramMachine,
     witness: Term,
     result: Term,
     groups: List[Tuple[Term, Term]],
@@ -155,7 +155,7 @@ control("setof/3")(_grouped_solutions(True))
 
 
 @control("findnsols/4", "findnsols/5")
-def findnsols(machine: Machine, args: Values, continuation: Frame) -> Optional[Frame]:
+def findnsols(machine: ProgramMachine, args: Values, continuation: Frame) -> Optional[Frame]:
     """Collect solutions in lists of ``N`` items; backtracking returns the next list."""
     count = natural(args[0])
     result = args[3]
@@ -185,7 +185,7 @@ def findnsols(machine: Machine, args: Values, continuation: Frame) -> Optional[F
 
 def _collect_solution(frame: Frame) -> Optional[Frame]:
     """Add a solution to the current list of ``findnsols``, and return the list when it is full."""
-    machine: Machine
+    machine: ProgramMachine
     solutions: List[Term]
     continuation: Frame
     _, machine, base, solutions, template, count, result, tail, continuation = frame
@@ -203,7 +203,7 @@ def _collect_solution(frame: Frame) -> Optional[Frame]:
 
 def _remaining_solutions(entry: Frame) -> Optional[Frame]:
     """Return the last list of ``findnsols``, when the goal has no more solutions."""
-    machine: Machine
+    machine: ProgramMachine
     continuation: Frame
     _, machine, solutions, result, tail, continuation, _ = entry
     return continuation if unify(result, make_list(solutions, tail), machine.trail) else None
@@ -234,7 +234,7 @@ def _sum(values: List[Term]) -> Term:
 
 
 @control("aggregate_all/4", is_protected=False)
-def aggregate_all_distinct(machine: Machine, args: Values, continuation: Frame) -> Optional[Frame]:
+def aggregate_all_distinct(machine: ProgramMachine, args: Values, continuation: Frame) -> Optional[Frame]:
     """Aggregate over the solutions with distinct pairs of discriminator and template."""
     spec, discriminator, goal, result = deref(args[0]), args[1], args[2], args[3]
     compute_aggregate, template = _parse_aggregate(spec)
@@ -250,7 +250,7 @@ def aggregate_all_distinct(machine: Machine, args: Values, continuation: Frame) 
 
 
 @control("aggregate_all/3", is_protected=False)
-def aggregate_all(machine: Machine, args: Values, continuation: Frame) -> Optional[Frame]:
+def aggregate_all(machine: ProgramMachine, args: Values, continuation: Frame) -> Optional[Frame]:
     """Aggregate over all solutions.
 
     The aggregates are count, count(T), sum(E), max(E), min(E), max(E,W), min(E,W), bag(T), set(T), or a compound of

@@ -10,17 +10,17 @@ from ...foundation.cancellation import STEPS_PER_ROUND, check_limits, with_limit
 from ...foundation.errors import MessageError
 from ..machine.arithmetic import Number
 from ..machine.errors import domain_error, instantiation_error, type_error
-from ..machine.machine import Machine
 from ..terms.array_terms import ELEMENTS_PER_INFERENCE, lazy_array, view
 from ..terms.byte_texts import text_bytes
 from ..terms.list_terms import list_parts
 from ..terms.types import FALSE, NIL, SLASH, TRUE, Atom, Functor, Term, Var, deref, functor
+from .builtin_registry import ProgramMachine
 
 if TYPE_CHECKING:
     from ..terms.array_terms import Array
 
 
-def is_iso(machine: Machine) -> bool:
+def is_iso(machine: ProgramMachine) -> bool:
     """Return whether the flag ``iso`` is set, which enables the checks that SWI-Prolog omits by default."""
     return machine.logic.flags["iso"] is TRUE
 

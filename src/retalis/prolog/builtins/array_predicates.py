@@ -18,13 +18,12 @@ from typing import TYPE_CHECKING, Any, Callable, Dict, List, NamedTuple, Optiona
 from ...foundation.cancellation import check_limits
 from ..machine.arithmetic import Number, evaluate
 from ..machine.errors import domain_error, evaluation_error, instantiation_error
-from ..machine.machine import Machine
 from ..terms.array_terms import array_term, element, lazy_array, sum_of_integers
 from ..terms.list_terms import make_list
 from ..terms.types import CONS, Atom, Functor, Term, Var, atom, deref, functor
 from ..terms.unification import unify
 from .argument_checks import array_of, count_work, natural, number, option_values
-from .builtin_registry import deterministic, function
+from .builtin_registry import ProgramMachine, deterministic, function
 
 if TYPE_CHECKING:
     from ..terms.array_terms import Array
@@ -203,7 +202,7 @@ def _define_reduction(name: str, reduce: Callable[["Array"], Number]) -> None:
         values = _read_array(array)
         return reduce(values) if len(values) else _EMPTY_RESULTS.get(name)
 
-    def reduce_selected(machine: Machine, array: Term, result: Term, options: Term) -> bool:
+    def reduce_selected(machine: ProgramMachine, array: Term, result: Term, options: Term) -> bool:
         selection = _select_elements(array, options)
         value = reduce(selection.values) if len(selection.values) else _EMPTY_RESULTS.get(name)
         if value is not None and name in _POSITION_REDUCTIONS and selection.mask is not None:
@@ -214,7 +213,9 @@ def _define_reduction(name: str, reduce: Callable[["Array"], Number]) -> None:
     deterministic(f"{name}/3")(reduce_selected)
 
 
-def _unify_selected(machine: Machine, selection: _Selection, result: Term, value: Optional[Number]) -> bool:
+def _unify_selected(
+    machine: ProgramMachine, selection: _Selection, result: Term, value: Optional[Number]
+) -> bool:
     """Unify the result, and the number of elements that were left out."""
     return (
         value is not None
@@ -243,7 +244,7 @@ def array_percentile(array: Term, percent: Term) -> Optional[Term]:
 
 @deterministic("array_percentile/4")
 def array_percentile_with_options(
-    machine: Machine, array: Term, percent: Term, result: Term, options: Term
+    machine: ProgramMachine, array: Term, percent: Term, result: Term, options: Term
 ) -> bool:
     """Unify with a percentile of the elements that options select."""
     selection, percent_value = _select_elements(array, options), _percentage(percent)

@@ -13,12 +13,11 @@ from typing import Any, Callable, List, Optional, Tuple
 from ...foundation.cancellation import STEPS_PER_ROUND, check_limits, with_limit_checks
 from ...foundation.errors import TermTooLarge
 from ..machine.errors import instantiation_error, no_matching_rule, type_error
-from ..machine.machine import Machine
 from ..terms.term_traversal import WALK_ROUNDS
 from ..terms.types import CONS, MINUS, NIL, CompoundTerm, Functor, Term, Var, atom, deref, functor
 from ..terms.unification import compare, unify
 from .argument_checks import items
-from .builtin_registry import deterministic
+from .builtin_registry import ProgramMachine, deterministic
 from .list_predicates import limited_rounds
 
 _NODE, _EMPTY = functor("t", 5), atom("t")
@@ -56,7 +55,7 @@ def _is_balance(term: Term) -> bool:
 
 
 @deterministic("get_assoc/3", is_protected=False)
-def get_assoc(machine: Machine, key: Term, tree: Term, value: Term) -> bool:
+def get_assoc(machine: ProgramMachine, key: Term, tree: Term, value: Term) -> bool:
     """Look up a key."""
     key = deref(key)
     node: Any = deref(tree)
@@ -82,7 +81,7 @@ def get_assoc(machine: Machine, key: Term, tree: Term, value: Term) -> bool:
 
 
 @deterministic("put_assoc/4", is_protected=False)
-def put_assoc(machine: Machine, key: Term, tree: Term, value: Term, result: Term) -> bool:
+def put_assoc(machine: ProgramMachine, key: Term, tree: Term, value: Term, result: Term) -> bool:
     """Insert a key or replace its value."""
     key = deref(key)
     path, node = _find_path(key, tree, _INSERT, value)
@@ -188,7 +187,7 @@ def _rotate(key: Term, value: Term, left: Any, right: Any, order: int) -> Compou
 
 
 @deterministic("del_assoc/4", is_protected=False)
-def del_assoc(machine: Machine, key: Term, tree: Term, value: Term, result: Term) -> bool:
+def del_assoc(machine: ProgramMachine, key: Term, tree: Term, value: Term, result: Term) -> bool:
     """Remove a key."""
     key = deref(key)
     path, node = _find_path(key, tree, _DELETE, value)
@@ -272,10 +271,10 @@ def _rebalance_flattened(
     return (_NODE, top_key, top_value, _RIGHT, inner_left, lower), False
 
 
-def _listing_predicate(position: Optional[int]) -> Callable[[Machine, Term, Term], bool]:
+def _listing_predicate(position: Optional[int]) -> Callable[[ProgramMachine, Term, Term], bool]:
     """Return a predicate that lists an argument of all nodes, or ``Key-Value`` pairs if ``position`` is None."""
 
-    def run(machine: Machine, tree: Term, result: Term) -> bool:
+    def run(machine: ProgramMachine, tree: Term, result: Term) -> bool:
         """Unify the result with the items of a tree in the order of keys; fail if the term is not a tree."""
         path: List[CompoundTerm] = []
         node: Any = tree
@@ -318,7 +317,7 @@ deterministic("assoc_to_values/2", is_protected=False)(_listing_predicate(2))
 
 
 @deterministic("$pairs_to_assoc/2")
-def pairs_to_assoc(machine: Machine, pairs: Term, result: Term) -> bool:
+def pairs_to_assoc(machine: ProgramMachine, pairs: Term, result: Term) -> bool:
     """Build a balanced tree from pairs; fail unless their keys strictly increase."""
     pair_terms: List[Any] = [deref(pair) for pair in with_limit_checks(items(pairs))]
     keys: List[Any] = []

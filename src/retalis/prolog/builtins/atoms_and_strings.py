@@ -14,13 +14,13 @@ from ..machine.errors import (
     representation_error,
     type_error,
 )
-from ..machine.machine import LAST, Machine
+from ..machine.machine import LAST
 from ..terms.list_terms import list_items, make_list
 from ..terms.term_traversal import is_ground
 from ..terms.types import NIL, Atom, String, Term, Var, atom, deref, functor
 from ..terms.unification import unify
 from .argument_checks import atom_of, integer_or_var, is_iso, items, partial_items
-from .builtin_registry import Outcome, Solutions, deterministic, nondeterministic
+from .builtin_registry import Outcome, ProgramMachine, Solutions, deterministic, nondeterministic
 from .text_arguments import (
     MAX_CODE,
     atomic_text,
@@ -46,7 +46,7 @@ from .text_arguments import (
 
 
 @deterministic("atom_length/2")
-def atom_length(machine: Machine, text: Term, length: Term) -> bool:
+def atom_length(machine: ProgramMachine, text: Term, length: Term) -> bool:
     """Unify with the number of characters of an atom."""
     length = deref(length)
     # SWI-Prolog accepts numbers and other texts too; ISO 13211-1 only atoms.
@@ -70,11 +70,11 @@ TextConstructor = Callable[[str], Term]
 
 
 def _text_converter(
-    to_list: TextConstructor, from_text: Callable[[Machine, str], Term], type_name: str
-) -> Callable[[Machine, Term, Term], bool]:
+    to_list: TextConstructor, from_text: Callable[[ProgramMachine, str], Term], type_name: str
+) -> Callable[[ProgramMachine, Term, Term], bool]:
     """Return a predicate that converts between a constant and the list of its codes or characters."""
 
-    def run(machine: Machine, constant: Term, parts: Term) -> bool:
+    def run(machine: ProgramMachine, constant: Term, parts: Term) -> bool:
         text = constant_text(deref(constant))
         if text is not None:
             check_text_list(parts)
@@ -90,11 +90,11 @@ def _text_converter(
     return run
 
 
-def _parse_as_atom(machine: Machine, text: str) -> Term:
+def _parse_as_atom(machine: ProgramMachine, text: str) -> Term:
     return atom(text)
 
 
-def _parse_as_constant(machine: Machine, text: str) -> Term:
+def _parse_as_constant(machine: ProgramMachine, text: str) -> Term:
     number = parse_number(text, machine.logic.operators)
     return atom(text) if number is None else number
 
@@ -104,10 +104,10 @@ deterministic("atom_chars/2")(_text_converter(chars, _parse_as_atom, "atom"))
 deterministic("name/2")(_text_converter(codes, _parse_as_constant, "atomic"))
 
 
-def _number_converter(to_list: TextConstructor) -> Callable[[Machine, Term, Term], bool]:
+def _number_converter(to_list: TextConstructor) -> Callable[[ProgramMachine, Term, Term], bool]:
     """Return a predicate that converts between a number and the list of its codes or characters."""
 
-    def run(machine: Machine, number: Term, parts: Term) -> bool:
+    def run(machine: ProgramMachine, number: Term, parts: Term) -> bool:
         number = deref(number)
         if number.__class__ not in (Var, int, float):
             raise type_error("number", number)
@@ -126,12 +126,12 @@ deterministic("number_codes/2")(_number_converter(codes))
 deterministic("number_chars/2")(_number_converter(chars))
 
 
-def _code_error(machine: Machine, code: int) -> Exception:
+def _code_error(machine: ProgramMachine, code: int) -> Exception:
     return representation_error("character_code") if is_iso(machine) else type_error("character_code", code)
 
 
 @deterministic("char_code/2")
-def char_code(machine: Machine, char: Term, code: Term) -> bool:
+def char_code(machine: ProgramMachine, char: Term, code: Term) -> bool:
     """Convert between a character and its code."""
     char, code = deref(char), deref(code)
     if char.__class__ is Atom:
@@ -154,7 +154,7 @@ def char_code(machine: Machine, char: Term, code: Term) -> bool:
 
 
 @deterministic("atom_number/2")
-def atom_number(machine: Machine, text: Term, number: Term) -> bool:
+def atom_number(machine: ProgramMachine, text: Term, number: Term) -> bool:
     """Convert between an atom and the number that it denotes."""
     text, number = deref(text), deref(number)
     if text.__class__ is Var:
@@ -179,7 +179,7 @@ def atom_number(machine: Machine, text: Term, number: Term) -> bool:
 
 
 @deterministic("term_to_atom/2")
-def term_to_atom(machine: Machine, term: Term, text: Term) -> bool:
+def term_to_atom(machine: ProgramMachine, term: Term, text: Term) -> bool:
     """Convert between a term and its text as an atom."""
     # A given text is parsed even if the term is known: equal terms may be written differently.
     text_term = deref(text)
@@ -191,18 +191,18 @@ def term_to_atom(machine: Machine, term: Term, text: Term) -> bool:
 
 
 @nondeterministic("atom_concat/3")
-def atom_concat(machine: Machine, left: Term, right: Term, joined: Term) -> Outcome:
+def atom_concat(machine: ProgramMachine, left: Term, right: Term, joined: Term) -> Outcome:
     """Relate two texts with their concatenation as an atom."""
     return _concat(machine, left, right, joined, atom)
 
 
 @nondeterministic("string_concat/3")
-def string_concat(machine: Machine, left: Term, right: Term, joined: Term) -> Outcome:
+def string_concat(machine: ProgramMachine, left: Term, right: Term, joined: Term) -> Outcome:
     """Relate two texts with their concatenation as a string."""
     return _concat(machine, left, right, joined, String)
 
 
-def _concat(machine: Machine, left: Term, right: Term, joined: Term, make: TextConstructor) -> Outcome:
+def _concat(machine: ProgramMachine, left: Term, right: Term, joined: Term, make: TextConstructor) -> Outcome:
     left, right = deref(left), deref(right)
     start = None if left.__class__ is Var else atomic_text(left)
     end = None if right.__class__ is Var else atomic_text(right)
@@ -227,7 +227,7 @@ def _concat(machine: Machine, left: Term, right: Term, joined: Term, make: TextC
 
 
 def _enumerate_divisions(
-    machine: Machine, left: Term, right: Term, text: str, make: TextConstructor
+    machine: ProgramMachine, left: Term, right: Term, text: str, make: TextConstructor
 ) -> Solutions:
     """Enumerate the divisions of a text into two parts."""
     for position in range(len(text) + 1):
@@ -238,19 +238,29 @@ def _enumerate_divisions(
 
 
 @nondeterministic("sub_atom/5")
-def sub_atom(machine: Machine, text: Term, before: Term, length: Term, after: Term, part: Term) -> Outcome:
+def sub_atom(
+    machine: ProgramMachine, text: Term, before: Term, length: Term, after: Term, part: Term
+) -> Outcome:
     """Enumerate the substrings of an atom."""
     return sub_text(machine, text, before, length, after, part, atom)
 
 
 @nondeterministic("sub_string/5")
-def sub_string(machine: Machine, text: Term, before: Term, length: Term, after: Term, part: Term) -> Outcome:
+def sub_string(
+    machine: ProgramMachine, text: Term, before: Term, length: Term, after: Term, part: Term
+) -> Outcome:
     """Enumerate the substrings of a string."""
     return sub_text(machine, text, before, length, after, part, String)
 
 
 def sub_text(
-    machine: Machine, text: Term, before: Term, length: Term, after: Term, part: Term, make: TextConstructor
+    machine: ProgramMachine,
+    text: Term,
+    before: Term,
+    length: Term,
+    after: Term,
+    part: Term,
+    make: TextConstructor,
 ) -> Outcome:
     """Enumerate the substrings of a text in the order of their start, then of their length."""
     if deref(text).__class__ is Var:
@@ -309,7 +319,7 @@ def sub_text(
 
 
 def _enumerate_substrings(
-    machine: Machine,
+    machine: ProgramMachine,
     source_text: str,
     spans: Iterator[Tuple[int, int]],
     before: Term,
@@ -344,7 +354,7 @@ def _candidate_spans(
 
 
 def _find_known_substring(
-    machine: Machine,
+    machine: ProgramMachine,
     source_text: str,
     substring: str,
     before: Term,
@@ -373,7 +383,7 @@ def _find_known_substring(
 
 
 def _all_occurrences(
-    machine: Machine, source_text: str, substring: str, before: Term, length: Term, after: Term
+    machine: ProgramMachine, source_text: str, substring: str, before: Term, length: Term, after: Term
 ) -> Solutions:
     size = len(source_text)
     start = source_text.find(substring)
@@ -387,7 +397,7 @@ def _all_occurrences(
 
 
 @deterministic("atomic_list_concat/2")
-def atomic_list_concat(machine: Machine, parts: Term, joined: Term) -> bool:
+def atomic_list_concat(machine: ProgramMachine, parts: Term, joined: Term) -> bool:
     """Concatenate texts to an atom."""
     return unify(
         joined,
@@ -397,7 +407,7 @@ def atomic_list_concat(machine: Machine, parts: Term, joined: Term) -> bool:
 
 
 @deterministic("atomic_list_concat/3")
-def atomic_list_concat_separated(machine: Machine, parts: Term, separator: Term, joined: Term) -> bool:
+def atomic_list_concat_separated(machine: ProgramMachine, parts: Term, separator: Term, joined: Term) -> bool:
     """Join texts with a separator, or split an atom at the separator."""
     separator_text = atomic_text(separator, "text")
     text = _join(parts, separator_text)
@@ -434,8 +444,8 @@ def _join(parts: Term, separator_text: str) -> Optional[str]:
 
 def _case_converter(
     change_case: Callable[[str], str], make: TextConstructor, type_name: str
-) -> Callable[[Machine, Term, Term], bool]:
-    def run(machine: Machine, text: Term, result: Term) -> bool:
+) -> Callable[[ProgramMachine, Term, Term], bool]:
+    def run(machine: ProgramMachine, text: Term, result: Term) -> bool:
         source_text = atomic_text(text)
         check_text_length(len(source_text), source_text)
         # A long text is converted in pieces, with a check of the limits after each. The lower case of a capital sigma
@@ -461,17 +471,17 @@ _CHECK_INTERVAL_MASK = len(STEPS_PER_ROUND) - 1
 
 
 @deterministic("string_length/2")
-def string_length(machine: Machine, text: Term, length: Term) -> bool:
+def string_length(machine: ProgramMachine, text: Term, length: Term) -> bool:
     """Unify with the number of characters of a text."""
     size = len(text_of(text))
     integer_or_var(length)
     return unify(length, size, machine.trail)
 
 
-def _string_converter(to_list: TextConstructor) -> Callable[[Machine, Term, Term], bool]:
+def _string_converter(to_list: TextConstructor) -> Callable[[ProgramMachine, Term, Term], bool]:
     """Return a predicate that converts between a string and the list of its codes or characters."""
 
-    def run(machine: Machine, text: Term, parts: Term) -> bool:
+    def run(machine: ProgramMachine, text: Term, parts: Term) -> bool:
         if deref(text).__class__ is not Var:
             source_text, parts_term = text_of(text), deref(parts)
             if parts_term is not NIL and parts_term.__class__ not in (Var, tuple):
@@ -492,7 +502,7 @@ def _is_compound_non_text(term: Term) -> bool:
 
 
 @deterministic("atom_string/2")
-def atom_string(machine: Machine, name: Term, text: Term) -> bool:
+def atom_string(machine: ProgramMachine, name: Term, text: Term) -> bool:
     """Convert between an atom or number and its text as a string."""
     if deref(name).__class__ is Var:
         return unify(name, atom(whole_text(text, "string")), machine.trail)
@@ -505,7 +515,7 @@ def atom_string(machine: Machine, name: Term, text: Term) -> bool:
 
 
 @deterministic("message_text/2")
-def message_text(machine: Machine, quoted: Term, text: Term) -> bool:
+def message_text(machine: ProgramMachine, quoted: Term, text: Term) -> bool:
     """Convert between the text of a message with double quotes inside and the text without them."""
     value = deref(quoted)
     if value.__class__ is Var:
@@ -519,13 +529,13 @@ def message_text(machine: Machine, quoted: Term, text: Term) -> bool:
 
 
 @deterministic("string_to_atom/2")
-def string_to_atom(machine: Machine, text: Term, name: Term) -> bool:
+def string_to_atom(machine: ProgramMachine, text: Term, name: Term) -> bool:
     """Convert between a string and an atom, see ``atom_string/2``."""
     return atom_string(machine, name, text)
 
 
 @deterministic("number_string/2")
-def number_string(machine: Machine, number: Term, text: Term) -> bool:
+def number_string(machine: ProgramMachine, number: Term, text: Term) -> bool:
     """Convert between a number and its text as a string; fail if the text does not denote a number."""
     number = deref(number)
     if number.__class__ not in (Var, int, float):
@@ -540,7 +550,7 @@ def number_string(machine: Machine, number: Term, text: Term) -> bool:
 
 
 @deterministic("text_to_string/2")
-def text_to_string(machine: Machine, text: Term, result: Term) -> bool:
+def text_to_string(machine: ProgramMachine, text: Term, result: Term) -> bool:
     """Convert an atom, a string, or a list of codes or characters to a string."""
     value = text_of(text, numbers=False)
     result_term = deref(result)
@@ -562,7 +572,7 @@ def _parse_code_argument(term: Term) -> Term:
 
 
 @nondeterministic("string_code/3")
-def string_code(machine: Machine, index: Term, text: Term, code: Term) -> Outcome:
+def string_code(machine: ProgramMachine, index: Term, text: Term, code: Term) -> Outcome:
     """Enumerate the character codes of a text with their positions from 1."""
     position = integer_or_var(index)
     source_text = text_of(text, numbers=False)
@@ -573,14 +583,14 @@ def string_code(machine: Machine, index: Term, text: Term, code: Term) -> Outcom
     return 0 < position <= len(source_text) and unify(code, ord(source_text[position - 1]), machine.trail)
 
 
-def _enumerate_codes(machine: Machine, index: Term, source_text: str, code: Term) -> Solutions:
+def _enumerate_codes(machine: ProgramMachine, index: Term, source_text: str, code: Term) -> Solutions:
     for position, char in enumerate(source_text, 1):
         if machine.unify_all((index, position), (code, ord(char))):
             yield LAST if position == len(source_text) else None
 
 
 @nondeterministic("text_concat/3")
-def text_concat(machine: Machine, left: Term, right: Term, joined: Term) -> Outcome:
+def text_concat(machine: ProgramMachine, left: Term, right: Term, joined: Term) -> Outcome:
     """Relate two texts with their concatenation, which is a string if any argument is a string, else an atom."""
     terms = [deref(term) for term in (left, right, joined)]
     make: Callable[[str], Term] = String if any(term.__class__ is String for term in terms) else atom
@@ -599,7 +609,7 @@ def text_concat(machine: Machine, left: Term, right: Term, joined: Term) -> Outc
 
 
 @deterministic("split_string/4")
-def split_string(machine: Machine, text: Term, separators: Term, pad: Term, parts: Term) -> bool:
+def split_string(machine: ProgramMachine, text: Term, separators: Term, pad: Term, parts: Term) -> bool:
     """Split a text at any of the separators and strip the pad characters from each part."""
     text_value, separator_chars, pad_chars = (
         text_of(argument, numbers=False) for argument in (text, separators, pad)
@@ -643,7 +653,7 @@ def _strip(text: str, pad: str) -> str:
 
 
 @deterministic("normalize_space/2")
-def normalize_space(machine: Machine, sink: Term, text: Term) -> bool:
+def normalize_space(machine: ProgramMachine, sink: Term, text: Term) -> bool:
     """Write a text to a sink, with one space for each sequence of white space and none at the ends."""
     sink = deref(sink)
     if sink.__class__ is Var:
@@ -715,13 +725,13 @@ def _known_character(term: Term) -> Optional[str]:
     return text
 
 
-def _char_type_predicate(as_code: bool) -> Callable[[Machine, Term, Term], Outcome]:
+def _char_type_predicate(as_code: bool) -> Callable[[ProgramMachine, Term, Term], Outcome]:
     """Return ``code_type/2`` if characters are returned as codes, otherwise ``char_type/2``."""
 
     def make_character(char: str) -> Term:
         return ord(char) if as_code else atom(char)
 
-    def run(machine: Machine, char: Term, char_type: Term) -> Outcome:
+    def run(machine: ProgramMachine, char: Term, char_type: Term) -> Outcome:
         """Test or enumerate the types of a character, or the characters of a type up to code 255."""
         char_type = deref(char_type)
         _check_char_type(char_type)
@@ -734,7 +744,7 @@ def _char_type_predicate(as_code: bool) -> Callable[[Machine, Term, Term], Outco
         return type_term is not None and unify(char_type, type_term, machine.trail)
 
     def enumerate_types(
-        machine: Machine, char: Term, char_type: Term, known_character: Optional[str]
+        machine: ProgramMachine, char: Term, char_type: Term, known_character: Optional[str]
     ) -> Solutions:
         # Without a character only Latin-1 is enumerated, since the types of all of Unicode take seconds.
         for character in [known_character] if known_character is not None else map(chr, range(256)):

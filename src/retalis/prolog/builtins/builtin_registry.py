@@ -9,21 +9,37 @@ a predicate is called:
   call it without a machine;
 * `nondeterministic`: a generator that yields at each solution;
 * `control`: a function that returns the next frame of the machine, for predicates that call goals.
+
+Functions get a `ProgramMachine`; by its attribute ``logic`` they read the program, and print or call for it.
 """
 
 from typing import (
+    TYPE_CHECKING,
+    Any,
     Callable,
     Dict,
     Iterator,
     List,
+    Mapping,
     NamedTuple,
     Optional,
+    Protocol,
     Tuple,
     TypeVar,
     Union,
 )
 
-from ..terms.types import Frame
+from ..database.clause_index import Clause
+from ..database.goal_interpreter import Control
+from ..database.predicate import Predicate
+from ..database.predicate_database import Database
+from ..machine.machine import Machine
+from ..machine.resource_limits import Budget
+from ..syntax.operators import Operators
+from ..terms.types import Frame, Functor, Term
+
+if TYPE_CHECKING:
+    from ..files.source_files import SourceFiles
 
 Solutions = Iterator[object]
 """Solutions of a nondeterministic predicate: it yields None at each, or `LAST` if it is known to be the last one."""
@@ -36,6 +52,67 @@ Function = TypeVar("Function", bound=Callable[..., object])
 DeterministicFunction = TypeVar("DeterministicFunction", bound=Callable[..., bool])
 NondeterministicFunction = TypeVar("NondeterministicFunction", bound=Callable[..., Outcome])
 ControlFunction = TypeVar("ControlFunction", bound=Callable[..., Optional[Frame]])
+
+
+class ProgramInterface(Protocol):
+    """A program as built-in predicates use it; see the attributes and methods of `PrologSystem`."""
+
+    database: Database
+    control: Control
+    operators: Operators
+    flags: Dict[str, Term]
+    globals: Dict[str, Term]
+    state: Dict[str, Any]
+    output: Callable[[str], None]
+    error_output: Callable[[str], None]
+    column: int
+    now: Callable[[], int]
+    ask: Optional[Callable[[], Optional[str]]]
+    files: "Optional[SourceFiles]"
+    environment: Optional[Mapping[str, str]]
+
+    def add_clause(self, term: Term, *, first: bool, asserted: bool) -> Clause:
+        """Add a copy of a clause."""
+
+    def lookup(self, key: Functor) -> Optional[Predicate]:
+        """Return the predicate of a functor, or None."""
+
+    def defines(self, key: Functor) -> bool:
+        """Return whether a predicate is defined."""
+
+    def once(self, goal: Term) -> bool:
+        """Run a goal for its first solution; return whether there is one."""
+
+    def require_flags(self, flag: Term) -> None:
+        """Require that the running goal may change a flag."""
+
+    def redirect(self, output: Callable[[str], None], column: int) -> None:
+        """Set the current output, and the column of its next text."""
+
+    def write(self, text: str) -> None:
+        """Write to the current output."""
+
+    def message(self, kind: str, text: str) -> None:
+        """Print a message of a kind."""
+
+    def show(self, term: Term, quoted: bool = True) -> str:
+        """Return a term as text."""
+
+
+class ProgramMachine(Machine):
+    """Machine of a program, the first argument of built-in predicates.
+
+    Args:
+        logic: the program that it runs.
+        budget: see `Machine`.
+
+    Attributes:
+        logic: the program that it runs.
+    """
+
+    def __init__(self, logic: ProgramInterface, budget: Budget):
+        super().__init__(budget)
+        self.logic = logic
 
 
 class Entry(NamedTuple):

@@ -14,7 +14,7 @@ from ..database.clause_index import NEVER_RETRACTED, Clause, may_match
 from ..database.goal_terms import functor_of
 from ..database.predicate import Predicate
 from ..machine.errors import domain_error, indicator, instantiation_error, permission_error, type_error
-from ..machine.machine import LAST, Machine
+from ..machine.machine import LAST
 from ..terms.list_terms import conjuncts
 from ..terms.term_traversal import copy
 from ..terms.types import (
@@ -35,13 +35,13 @@ from ..terms.types import (
 )
 from ..terms.unification import undo, unify
 from .argument_checks import callable_of, indicator_of, is_iso, is_true, items, option_values
-from .builtin_registry import Outcome, Solutions, control, deterministic, nondeterministic
+from .builtin_registry import Outcome, ProgramMachine, Solutions, control, deterministic, nondeterministic
 from .tabling import AS, Mode, parse_moded_head, tables_of
 
 _NECK = functor(":-", 2)
 
 
-def _require_access(machine: Machine, key: Functor, action: str, object_type: str) -> Predicate:
+def _require_access(machine: ProgramMachine, key: Functor, action: str, object_type: str) -> Predicate:
     """Return the predicate that holds the clauses of a functor, for a goal that changes or reads them.
 
     Args:
@@ -64,10 +64,10 @@ def _require_access(machine: Machine, key: Functor, action: str, object_type: st
     return predicate if predicate.hidden_predicate is None else predicate.hidden_predicate
 
 
-def _assert_predicate(first: bool) -> Callable[[Machine, Term], bool]:
+def _assert_predicate(first: bool) -> Callable[[ProgramMachine, Term], bool]:
     """Return ``asserta/1`` if ``first``, otherwise ``assertz/1``."""
 
-    def run(machine: Machine, term: Term) -> bool:
+    def run(machine: ProgramMachine, term: Term) -> bool:
         logic = machine.logic
         clause = logic.add_clause(term, first=first, asserted=True)
         predicate = clause.predicate
@@ -91,7 +91,7 @@ deterministic("assertz/1", "assert/1")(_assert_predicate(False))
 deterministic("asserta/1")(_assert_predicate(True))
 
 
-def _split_clause(machine: Machine, term: Term) -> Tuple[Term, Term]:
+def _split_clause(machine: ProgramMachine, term: Term) -> Tuple[Term, Term]:
     """Return the head and the body of a clause that is searched for."""
     modules = machine.logic.database.modules
     term = modules.resolve_searched_clause(term)
@@ -129,7 +129,7 @@ def _candidate_clauses(predicate: Predicate, head: Term) -> Iterator[Clause]:
 
 
 @nondeterministic("retract/1")
-def retract(machine: Machine, term: Term) -> Outcome:
+def retract(machine: ProgramMachine, term: Term) -> Outcome:
     """Remove the first clause that unifies, and further ones on backtracking."""
     head, body = _split_clause(machine, term)
     predicate = _require_access(machine, _head_functor(head), "modify", "static_procedure")
@@ -141,7 +141,7 @@ BodyConversion = Callable[[Term], Term]
 
 
 def _enumerate_clauses(
-    machine: Machine,
+    machine: ProgramMachine,
     predicate: Predicate,
     head: Term,
     body: Term,
@@ -206,7 +206,7 @@ def _rename_variables(clause: Clause) -> Tuple[Term, Term]:
 
 
 @deterministic("retractall/1")
-def retractall(machine: Machine, head: Term) -> bool:
+def retractall(machine: ProgramMachine, head: Term) -> bool:
     """Remove all clauses whose heads unify; a predicate that is not defined becomes dynamic."""
     head = machine.logic.database.modules.resolve_searched_clause(head)
     key = _head_functor(head)
@@ -227,7 +227,7 @@ def retractall(machine: Machine, head: Term) -> bool:
 
 
 @nondeterministic("clause/2")
-def clause_of(machine: Machine, head: Term, body: Term) -> Outcome:
+def clause_of(machine: ProgramMachine, head: Term, body: Term) -> Outcome:
     """Enumerate the clauses of a predicate that unify with a head and a body."""
     head = machine.logic.database.modules.resolve_searched_clause(head)
     key = _head_functor(head)
@@ -239,7 +239,7 @@ def clause_of(machine: Machine, head: Term, body: Term) -> Outcome:
 
 
 @deterministic("abolish/1")
-def abolish(machine: Machine, term: Term) -> bool:
+def abolish(machine: ProgramMachine, term: Term) -> bool:
     """Remove all clauses and properties of a predicate."""
     key = indicator_of(machine.logic.database.modules.resolve_declared_indicators(term))
     predicate = _require_access(machine, key, "modify", "static_procedure")
@@ -250,7 +250,7 @@ def abolish(machine: Machine, term: Term) -> bool:
 
 
 @deterministic("abolish/2")
-def abolish_named(machine: Machine, name: Term, arity: Term) -> bool:
+def abolish_named(machine: ProgramMachine, name: Term, arity: Term) -> bool:
     """Remove all clauses and properties of a predicate."""
     return abolish(machine, (SLASH, name, arity))
 
@@ -282,10 +282,10 @@ def declared_items_with_options(term: Term) -> Iterator[Tuple[Term, Values]]:
             yield item, options
 
 
-def _declaration_predicate(attribute: str) -> Callable[[Machine, Term], bool]:
+def _declaration_predicate(attribute: str) -> Callable[[ProgramMachine, Term], bool]:
     """Return a predicate that sets an attribute of the predicates that it declares."""
 
-    def run(machine: Machine, term: Term) -> bool:
+    def run(machine: ProgramMachine, term: Term) -> bool:
         for item in declared_items(machine.logic.database.modules.resolve_declared_indicators(term)):
             predicate = machine.logic.database.writable(indicator_of(item))
             setattr(predicate, attribute, True)
@@ -296,7 +296,7 @@ def _declaration_predicate(attribute: str) -> Callable[[Machine, Term], bool]:
 
 
 @deterministic("dynamic/1", "thread_local/1")
-def dynamic(machine: Machine, term: Term) -> bool:
+def dynamic(machine: ProgramMachine, term: Term) -> bool:
     """Declare predicates dynamic; with ``as incremental``, incremental tables depend on their clauses."""
     for item, options in declared_items_with_options(
         machine.logic.database.modules.resolve_declared_indicators(term)
@@ -306,7 +306,7 @@ def dynamic(machine: Machine, term: Term) -> bool:
 
 
 @deterministic("dynamic/2")
-def dynamic_with_options(machine: Machine, names: Term, options: Term) -> bool:
+def dynamic_with_options(machine: ProgramMachine, names: Term, options: Term) -> bool:
     """Declare the predicates of a list dynamic, with the options of SWI-Prolog; unknown ones are ignored."""
     chosen_options: Set[str] = set()
     for option in option_values(options):
@@ -340,7 +340,7 @@ def _parse_dynamic_option(option: Term) -> str:
     return key.name
 
 
-def declare_dynamic(machine: Machine, item: Term, options: Set[str]) -> None:
+def declare_dynamic(machine: ProgramMachine, item: Term, options: Set[str]) -> None:
     """Declare the predicate of an indicator dynamic."""
     database = machine.logic.database
     predicate = database.writable(indicator_of(item))
@@ -358,7 +358,7 @@ deterministic("module_transparent/1", "volatile/1", "public/1")(lambda machine, 
 
 
 @nondeterministic("current_predicate/1")
-def current_predicate(machine: Machine, term: Term) -> Solutions:
+def current_predicate(machine: ProgramMachine, term: Term) -> Solutions:
     """Enumerate the program's predicates with clauses; a complete indicator may also denote a built-in predicate."""
     modules = machine.logic.database.modules
     term = _strip_module(modules.resolve_declared_indicators(term))
@@ -396,7 +396,7 @@ def _is_current(predicate: Predicate, iso: bool) -> bool:
 
 
 @control("garbage_collect/0", "prompt/2")
-def do_nothing(machine: Machine, args: Values, continuation: Frame) -> Optional[Frame]:
+def do_nothing(machine: ProgramMachine, args: Values, continuation: Frame) -> Optional[Frame]:
     """Do nothing; the predicate exists for compatibility."""
     return continuation
 
@@ -416,7 +416,7 @@ _OPTIONS_WITH_ARGUMENT = ("max_answers", "answer_abstract", "subgoal_abstract")
 
 
 @deterministic("table/1")
-def table_declaration(machine: Machine, specification: Term) -> bool:
+def table_declaration(machine: ProgramMachine, specification: Term) -> bool:
     """Declare predicates tabled; with ``as incremental``, their tables depend on the data that they read."""
     for item, options in declared_items_with_options(
         machine.logic.database.modules.resolve_declared_indicators(specification)
@@ -427,7 +427,7 @@ def table_declaration(machine: Machine, specification: Term) -> bool:
     return True
 
 
-def declare_tabled(machine: Machine, item: Term, options: Values = ()) -> None:
+def declare_tabled(machine: ProgramMachine, item: Term, options: Values = ()) -> None:
     """Declare the predicate of an indicator, or of a head with argument modes, tabled.
 
     Args:
@@ -465,7 +465,7 @@ def declare_tabled(machine: Machine, item: Term, options: Values = ()) -> None:
         tables.observe(predicate.clause_owner)
 
 
-def _table_option(machine: Machine, key: Functor, option: Term) -> str:
+def _table_option(machine: ProgramMachine, key: Functor, option: Term) -> str:
     """Return the name of a table option, and log a warning for one without effect."""
     option = callable_of(option)
     option_key = functor_of(option)
@@ -486,7 +486,7 @@ def _table_option(machine: Machine, key: Functor, option: Term) -> str:
 _TABLE_OPTIONS = ("incremental", "opaque", "variant", "dynamic")
 
 
-def _make_tabled(machine: Machine, key: Functor, modes: Dict[int, Mode]) -> None:
+def _make_tabled(machine: ProgramMachine, key: Functor, modes: Dict[int, Mode]) -> None:
     """Declare a predicate tabled, and move its clauses to a hidden predicate that the tables call."""
     database = machine.logic.database
     if database.predicate(key).hidden_predicate is not None:
@@ -511,7 +511,7 @@ def _make_tabled(machine: Machine, key: Functor, modes: Dict[int, Mode]) -> None
 
 
 @control("abolish_all_tables/0")
-def abolish_all_tables(machine: Machine, args: Values, continuation: Frame) -> Optional[Frame]:
+def abolish_all_tables(machine: ProgramMachine, args: Values, continuation: Frame) -> Optional[Frame]:
     """Remove the answers of all tabled predicates."""
     tables_of(machine).clear()
     return continuation

@@ -8,11 +8,10 @@ from posixpath import basename, dirname, isabs, join, normpath, splitext
 from typing import TYPE_CHECKING, Dict, List, Optional
 
 from ..machine.errors import existence_error, instantiation_error, permission_error
-from ..machine.machine import Machine
 from ..terms.types import SLASH, Atom, Term, Var, atom, deref
 from ..terms.unification import unify
 from .argument_checks import atom_of, items, option_values
-from .builtin_registry import deterministic
+from .builtin_registry import ProgramMachine, deterministic
 from .text_arguments import text_of, whole_text
 
 if TYPE_CHECKING:
@@ -31,7 +30,7 @@ def _read_file_name(term: Term) -> str:
 
 
 @deterministic("file_base_name/2")
-def file_base_name(machine: Machine, path: Term, base: Term) -> bool:
+def file_base_name(machine: ProgramMachine, path: Term, base: Term) -> bool:
     """Unify with the part of a path after its last slash."""
     text = _read_file_name(path)
     # Trailing slashes are ignored; a path of slashes only is the root (POSIX `basename`).
@@ -40,7 +39,7 @@ def file_base_name(machine: Machine, path: Term, base: Term) -> bool:
 
 
 @deterministic("file_directory_name/2")
-def file_directory_name(machine: Machine, path: Term, folder: Term) -> bool:
+def file_directory_name(machine: ProgramMachine, path: Term, folder: Term) -> bool:
     """Unify with the part of a path before its last slash."""
     text = _read_file_name(path)
     stripped = text.rstrip("/")
@@ -48,7 +47,7 @@ def file_directory_name(machine: Machine, path: Term, folder: Term) -> bool:
 
 
 @deterministic("file_name_extension/3")
-def file_name_extension(machine: Machine, base: Term, extension: Term, name: Term) -> bool:
+def file_name_extension(machine: ProgramMachine, base: Term, extension: Term, name: Term) -> bool:
     """Relate a file name with its base name and its extension."""
     if deref(name).__class__ is not Var:
         file_name = _read_file_name(name)
@@ -72,14 +71,14 @@ def _split_extension(name: str) -> List[str]:
     return [stem, ending] if point and "/" not in ending else [name, ""]
 
 
-def _unify_text(machine: Machine, term: Term, text: str) -> bool:
+def _unify_text(machine: ProgramMachine, term: Term, text: str) -> bool:
     """Unify an argument with a text; a bound argument of any text type is compared by its text."""
     term = deref(term)
     return unify(term, atom(text), machine.trail) if term.__class__ is Var else text_of(term) == text
 
 
 @deterministic("directory_file_path/3")
-def directory_file_path(machine: Machine, folder: Term, name: Term, path: Term) -> bool:
+def directory_file_path(machine: ProgramMachine, folder: Term, name: Term, path: Term) -> bool:
     """Relate a path with its folder and file name."""
     if deref(folder).__class__ is Var or deref(name).__class__ is Var:
         file_path = _read_file_name(path)
@@ -90,20 +89,20 @@ def directory_file_path(machine: Machine, folder: Term, name: Term, path: Term) 
 
 
 @deterministic("is_absolute_file_name/1")
-def is_absolute_file_name(machine: Machine, path: Term) -> bool:
+def is_absolute_file_name(machine: ProgramMachine, path: Term) -> bool:
     """Test for a path that begins with a slash."""
     return isabs(_read_file_name(path))
 
 
 @deterministic("absolute_file_name/2")
-def absolute_file_name(machine: Machine, name: Term, path: Term) -> bool:
+def absolute_file_name(machine: ProgramMachine, name: Term, path: Term) -> bool:
     """Unify with the absolute path of a name."""
     absolute = _absolute_path(machine, name, None)
     return absolute is not None and unify(path, atom(absolute), machine.trail)
 
 
 @deterministic("absolute_file_name/3")
-def absolute_file_name_with(machine: Machine, name: Term, path: Term, options: Term) -> bool:
+def absolute_file_name_with(machine: ProgramMachine, name: Term, path: Term, options: Term) -> bool:
     """Unify with the absolute path of a name; options select its base folder, extensions, type and access."""
     # Older versions of SWI-Prolog had the options as the second argument; both orders are accepted, as there.
     if isinstance(deref(path), tuple):
@@ -135,7 +134,7 @@ def _option_name(values: Dict[str, Term], name: str, default: str) -> str:
     return atom_of(values[name]).name if name in values else default
 
 
-def _find_existing(machine: Machine, path: str, endings: List[str], file_type: str) -> Optional[str]:
+def _find_existing(machine: ProgramMachine, path: str, endings: List[str], file_type: str) -> Optional[str]:
     """Return the path of the first existing file with one of the extensions, or of an existing folder; else None."""
     files = _require_files(machine)
     if file_type == "directory":
@@ -145,7 +144,7 @@ def _find_existing(machine: Machine, path: str, endings: List[str], file_type: s
     return next((candidate for candidate in candidates if files.is_readable(candidate)), None)
 
 
-def _require_files(machine: Machine) -> "SourceFiles":
+def _require_files(machine: ProgramMachine) -> "SourceFiles":
     """Return the files that goals may open; raise a permission error if there are none."""
     files = machine.logic.files
     if files is None:
@@ -153,7 +152,7 @@ def _require_files(machine: Machine) -> "SourceFiles":
     return files
 
 
-def _absolute_path(machine: Machine, name: Term, folder: Optional[Term]) -> Optional[str]:
+def _absolute_path(machine: ProgramMachine, name: Term, folder: Optional[Term]) -> Optional[str]:
     """Return a normalised absolute path; None for a term such as ``library(lists)``, which is not a file name."""
     name = deref(name)
     if name.__class__ is Var:
@@ -183,14 +182,14 @@ def _join_segments(path: Term) -> str:
 
 
 @deterministic("exists_directory/1")
-def exists_directory(machine: Machine, name: Term) -> bool:
+def exists_directory(machine: ProgramMachine, name: Term) -> bool:
     """Test for an existing folder whose files goals may open."""
     path = _read_file_name(name)
     return _require_files(machine).is_folder(path)
 
 
 @deterministic("getenv/2")
-def getenv(machine: Machine, name: Term, value: Term) -> bool:
+def getenv(machine: ProgramMachine, name: Term, value: Term) -> bool:
     """Unify with the value of an environment variable; a permission error if the setting ``allow_foreign`` is off."""
     variable = text_of(name)
     environment = machine.logic.environment

@@ -16,7 +16,7 @@ from ..machine.errors import (
     representation_error,
     type_error,
 )
-from ..machine.machine import LAST, Machine
+from ..machine.machine import LAST
 from ..syntax.operators import Operators
 from ..syntax.term_writer import write_term
 from ..terms.term_traversal import copy
@@ -39,7 +39,7 @@ from ..terms.types import (
 )
 from ..terms.unification import unify
 from .argument_checks import atom_of, integer, is_iso, items
-from .builtin_registry import Solutions, control, deterministic, nondeterministic
+from .builtin_registry import ProgramMachine, Solutions, control, deterministic, nondeterministic
 from .clause_predicates import declared_items
 from .grammar_and_ssu_rules import translate_rule
 
@@ -102,7 +102,7 @@ def restored_flags(stored_flags: Dict[str, Term]) -> Dict[str, Term]:
 
 
 @deterministic("set_prolog_flag/2")
-def set_prolog_flag(machine: Machine, flag: Term, value: Term) -> bool:
+def set_prolog_flag(machine: ProgramMachine, flag: Term, value: Term) -> bool:
     """Set a Prolog flag."""
     name, value = atom_of(flag), deref(value)
     if value.__class__ is Var:
@@ -125,7 +125,7 @@ def set_prolog_flag(machine: Machine, flag: Term, value: Term) -> bool:
 
 
 @deterministic("unknown/2")
-def unknown(machine: Machine, old: Term, new: Term) -> bool:
+def unknown(machine: ProgramMachine, old: Term, new: Term) -> bool:
     """Return and set the flag ``unknown``, the action for calls of undefined predicates."""
     old_flag = machine.logic.flags["unknown"]
     if not machine.unify(old, old_flag):
@@ -134,7 +134,7 @@ def unknown(machine: Machine, old: Term, new: Term) -> bool:
 
 
 @deterministic("create_prolog_flag/3")
-def create_prolog_flag(machine: Machine, flag: Term, value: Term, options: Term) -> bool:
+def create_prolog_flag(machine: ProgramMachine, flag: Term, value: Term, options: Term) -> bool:
     """Create a flag of the program."""
     name = atom_of(flag)
     machine.logic.require_flags(name)
@@ -143,7 +143,7 @@ def create_prolog_flag(machine: Machine, flag: Term, value: Term, options: Term)
 
 
 @nondeterministic("current_prolog_flag/2")
-def current_prolog_flag(machine: Machine, flag: Term, value: Term) -> Solutions:
+def current_prolog_flag(machine: ProgramMachine, flag: Term, value: Term) -> Solutions:
     """Enumerate the Prolog flags."""
     flag = deref(flag)
     flags = machine.logic.flags
@@ -167,7 +167,7 @@ _OPERATOR_TYPES = ("xfx", "xfy", "yfx", "fy", "fx", "xf", "yf")
 
 
 @deterministic("op/3")
-def op(machine: Machine, priority: Term, op_type: Term, names: Term) -> bool:
+def op(machine: ProgramMachine, priority: Term, op_type: Term, names: Term) -> bool:
     """Define or remove operators."""
     value = integer(priority)
     type_name = atom_of(op_type).name
@@ -219,7 +219,7 @@ def _checked_operator_name(
 
 
 @nondeterministic("current_op/3")
-def current_op(machine: Machine, priority: Term, op_type: Term, name: Term) -> Solutions:
+def current_op(machine: ProgramMachine, priority: Term, op_type: Term, name: Term) -> Solutions:
     """Enumerate the operators."""
     priority, op_type, name = deref(priority), deref(op_type), deref(name)
     if priority.__class__ is not Var and (priority.__class__ is not int or not 0 <= priority <= 1200):
@@ -246,7 +246,7 @@ def current_op(machine: Machine, priority: Term, op_type: Term, name: Term) -> S
 
 
 @deterministic("char_conversion/2")
-def char_conversion(machine: Machine, char: Term, converted: Term) -> bool:
+def char_conversion(machine: ProgramMachine, char: Term, converted: Term) -> bool:
     """Check two characters; the predicate has no effect, as characters are never converted."""
     _check_character(char)
     _check_character(converted)
@@ -254,7 +254,7 @@ def char_conversion(machine: Machine, char: Term, converted: Term) -> bool:
 
 
 @nondeterministic("current_char_conversion/2")
-def current_char_conversion(machine: Machine, char: Term, converted: Term) -> Solutions:
+def current_char_conversion(machine: ProgramMachine, char: Term, converted: Term) -> Solutions:
     """Enumerate the character conversions: each character is converted to itself."""
     character = deref(char) if deref(char).__class__ is not Var else deref(converted)
     if character.__class__ is not Var:
@@ -310,14 +310,14 @@ def _counter_key(name: Term) -> str:
 
 
 @deterministic("nb_setval/2")
-def nb_setval(machine: Machine, name: Term, value: Term) -> bool:
+def nb_setval(machine: ProgramMachine, name: Term, value: Term) -> bool:
     """Set a global variable to a copy of a term, without undoing it on backtracking."""
     machine.logic.globals[atom_of(name).name] = copy(value)
     return True
 
 
 @deterministic("b_setval/2")
-def b_setval(machine: Machine, name: Term, value: Term) -> bool:
+def b_setval(machine: ProgramMachine, name: Term, value: Term) -> bool:
     """Set a global variable until backtracking."""
     values = machine.logic.globals
     key = atom_of(name).name
@@ -327,7 +327,7 @@ def b_setval(machine: Machine, name: Term, value: Term) -> bool:
 
 
 @deterministic("nb_getval/2", "b_getval/2")
-def getval(machine: Machine, name: Term, value: Term) -> bool:
+def getval(machine: ProgramMachine, name: Term, value: Term) -> bool:
     """Unify with the value of a global variable."""
     key = atom_of(name).name
     values = machine.logic.globals
@@ -340,7 +340,7 @@ def getval(machine: Machine, name: Term, value: Term) -> bool:
 
 
 @deterministic("incCounter/1", is_protected=False)
-def inc_counter(machine: Machine, name: Term) -> bool:
+def inc_counter(machine: ProgramMachine, name: Term) -> bool:
     """Increment a counter."""
     counters = machine.logic.state.setdefault("counters", {})
     key = _counter_key(name)
@@ -349,27 +349,27 @@ def inc_counter(machine: Machine, name: Term) -> bool:
 
 
 @deterministic("resetCounter/1", is_protected=False)
-def reset_counter(machine: Machine, name: Term) -> bool:
+def reset_counter(machine: ProgramMachine, name: Term) -> bool:
     """Set a counter to zero."""
     machine.logic.state.setdefault("counters", {})[_counter_key(name)] = 0
     return True
 
 
 @deterministic("counter/2", is_protected=False)
-def counter(machine: Machine, name: Term, value: Term) -> bool:
+def counter(machine: ProgramMachine, name: Term, value: Term) -> bool:
     """Unify with the value of a counter."""
     return unify(value, machine.logic.state.get("counters", {}).get(_counter_key(name), 0), machine.trail)
 
 
 @deterministic("set_flag/2", is_protected=False)
-def set_flag(machine: Machine, name: Term, value: Term) -> bool:
+def set_flag(machine: ProgramMachine, name: Term, value: Term) -> bool:
     """Set a flag of the program."""
     machine.logic.state.setdefault("flags", {})[_counter_key(name)] = copy(value)
     return True
 
 
 @deterministic("get_flag/2", is_protected=False)
-def get_flag(machine: Machine, name: Term, value: Term) -> bool:
+def get_flag(machine: ProgramMachine, name: Term, value: Term) -> bool:
     """Unify with a flag of the program, or ``nil`` if it is not set."""
     return unify(
         value, machine.logic.state.get("flags", {}).get(_counter_key(name), atom("nil")), machine.trail
@@ -377,7 +377,7 @@ def get_flag(machine: Machine, name: Term, value: Term) -> bool:
 
 
 @control("halt/0", "halt/1")
-def halt(machine: Machine, args: Values, continuation: Frame) -> Optional[Frame]:
+def halt(machine: ProgramMachine, args: Values, continuation: Frame) -> Optional[Frame]:
     """Raise a permission error: a program may not end the process that it runs in."""
     if args:
         integer(args[0])
@@ -389,7 +389,7 @@ _OP, _GRAMMAR_INDICATOR = functor("op", 3), functor("//", 2)
 
 
 @deterministic("module/2")
-def module(machine: Machine, name: Term, exports: Term) -> bool:
+def module(machine: ProgramMachine, name: Term, exports: Term) -> bool:
     """Begin a module: predicates that it does not export get local names for the rest of the file."""
     keys: List[Functor] = []
     invalid: List[Term] = []
@@ -424,13 +424,13 @@ def module(machine: Machine, name: Term, exports: Term) -> bool:
 
 
 @deterministic("module/3")
-def module_of_dialect(machine: Machine, name: Term, exports: Term, _: Term) -> bool:
+def module_of_dialect(machine: ProgramMachine, name: Term, exports: Term, _: Term) -> bool:
     """Begin a module of another Prolog system."""
     return module(machine, name, exports)
 
 
 @deterministic("meta_predicate/1")
-def meta_predicate(machine: Machine, heads: Term) -> bool:
+def meta_predicate(machine: ProgramMachine, heads: Term) -> bool:
     """Declare which arguments of predicates are goals: in a module they are called with its local names."""
     modules = machine.logic.database.modules
     for item in declared_items(modules.resolve_declared_indicators(heads)):
@@ -442,7 +442,7 @@ def meta_predicate(machine: Machine, heads: Term) -> bool:
 
 
 @deterministic("strip_module/3")
-def strip_module(machine: Machine, term: Term, name: Term, plain: Term) -> bool:
+def strip_module(machine: ProgramMachine, term: Term, name: Term, plain: Term) -> bool:
     """Split a term into its module qualification and the plain term."""
     qualifier: Term = _USER
     plain_term = deref(term)
@@ -454,7 +454,7 @@ def strip_module(machine: Machine, term: Term, name: Term, plain: Term) -> bool:
 
 
 @nondeterministic("current_module/1")
-def current_module(machine: Machine, name: Term) -> Solutions:
+def current_module(machine: ProgramMachine, name: Term) -> Solutions:
     """Enumerate the modules of the program."""
     for module_name in ["user", *machine.logic.database.modules.modules]:
         if machine.unify(name, atom(module_name)):
@@ -476,7 +476,7 @@ _INITIALIZATION_TIMES = ("now", "after_load", "restore", "restore_state", "progr
     "non_terminal/1",
     "expects_dialect/1",
 )
-def declaration(machine: Machine, specification: Term) -> bool:
+def declaration(machine: ProgramMachine, specification: Term) -> bool:
     """Accept a declaration that has no effect."""
     if deref(specification).__class__ is Var:
         raise instantiation_error()
@@ -484,13 +484,13 @@ def declaration(machine: Machine, specification: Term) -> bool:
 
 
 @control("initialization/1")
-def initialization(machine: Machine, args: Values, continuation: Frame) -> Optional[Frame]:
+def initialization(machine: ProgramMachine, args: Values, continuation: Frame) -> Optional[Frame]:
     """Call a goal. In a file the loader calls it after the file has been loaded."""
     return machine.logic.control.call(args[0], continuation)
 
 
 @control("initialization/2")
-def initialization_at(machine: Machine, args: Values, continuation: Frame) -> Optional[Frame]:
+def initialization_at(machine: ProgramMachine, args: Values, continuation: Frame) -> Optional[Frame]:
     """Call a goal, unless its time is ``main``: the process does not belong to the program."""
     time = deref(args[1])
     if time.__class__ is Var:
@@ -501,7 +501,7 @@ def initialization_at(machine: Machine, args: Values, continuation: Frame) -> Op
 
 
 @deterministic("dcg_translate_rule/2")
-def dcg_translate_rule(machine: Machine, rule: Term, clause: Term) -> bool:
+def dcg_translate_rule(machine: ProgramMachine, rule: Term, clause: Term) -> bool:
     """Translate a grammar rule."""
     rule = deref(rule)
     if rule.__class__ is Var:
@@ -512,7 +512,7 @@ def dcg_translate_rule(machine: Machine, rule: Term, clause: Term) -> bool:
 
 
 @deterministic("expand_term/2")
-def expand_term(machine: Machine, term: Term, expanded: Term) -> bool:
+def expand_term(machine: ProgramMachine, term: Term, expanded: Term) -> bool:
     """Expand a term by the program's ``term_expansion/2`` and the translation of grammar rules, as on loading."""
     term = deref(term)
     key = functor("term_expansion", 2)

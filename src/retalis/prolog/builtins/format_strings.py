@@ -12,9 +12,9 @@ from ...foundation.cancellation import check_limits
 from ..compiler.clause_nodes import NOT
 from ..machine.arithmetic import check_bit_product, evaluate
 from ..machine.errors import domain_error, error, existence_error, resource_error
-from ..machine.machine import Machine
 from ..syntax.term_writer import write_term
 from ..terms.types import Atom, String, Term, atom, deref, functor
+from .builtin_registry import ProgramMachine
 from .text_arguments import (
     MAX_CODE,
     check_text_length,
@@ -29,7 +29,7 @@ from .text_streams import OutputCapture
 _PORTRAY = functor("portray", 1)
 
 
-def run_captured(machine: Machine, goal: Term) -> Tuple[bool, str]:
+def run_captured(machine: ProgramMachine, goal: Term) -> Tuple[bool, str]:
     """Run a goal once; return whether it succeeds, and its output."""
     logic = machine.logic
     # The capture ends in any case; otherwise, the program's output would go to it after an error.
@@ -41,7 +41,7 @@ def run_captured(machine: Machine, goal: Term) -> Tuple[bool, str]:
     return succeeded, join_texts(capture.texts)
 
 
-def make_portray(machine: Machine) -> Optional[Callable[[Term], Optional[str]]]:
+def make_portray(machine: ProgramMachine) -> Optional[Callable[[Term], Optional[str]]]:
     """Return a function that prints a term with the program's ``portray/1``, or None if the program defines none."""
     if not machine.logic.defines(_PORTRAY):
         return None
@@ -54,7 +54,7 @@ def make_portray(machine: Machine) -> Optional[Callable[[Term], Optional[str]]]:
     return portray
 
 
-def print_to_text(machine: Machine, term: Term) -> str:
+def print_to_text(machine: ProgramMachine, term: Term) -> str:
     """Return the text of a term as ``print/1`` writes it."""
     return write_term(term, machine.logic.operators, numbervars=True, portray=make_portray(machine))
 
@@ -167,7 +167,7 @@ class Formatter:
         column: current column of the output.
     """
 
-    def __init__(self, machine: Machine, column: int):
+    def __init__(self, machine: ProgramMachine, column: int):
         self.machine = machine
         self.line = ColumnLine(column)
         self.arguments: List[Term] = []
@@ -274,31 +274,31 @@ def _character_of_code(term: Term) -> str:
     return chr(code)
 
 
-def _atomic_text(machine: Machine, term: Term, number: Optional[int]) -> str:
+def _atomic_text(machine: ProgramMachine, term: Term, number: Optional[int]) -> str:
     text = constant_text(deref(term))
     if text is None:
         raise argument_error("a", term)
     return text
 
 
-def _output_of_goal(machine: Machine, goal: Term, number: Optional[int]) -> str:
+def _output_of_goal(machine: ProgramMachine, goal: Term, number: Optional[int]) -> str:
     """Return the output of a goal, whether it succeeds or fails."""
     return run_captured(machine, goal)[1]
 
 
-def _unquoted_text(machine: Machine, term: Term, number: Optional[int]) -> str:
+def _unquoted_text(machine: ProgramMachine, term: Term, number: Optional[int]) -> str:
     return machine.logic.show(term, quoted=False)
 
 
-def _quoted_text(machine: Machine, term: Term, number: Optional[int]) -> str:
+def _quoted_text(machine: ProgramMachine, term: Term, number: Optional[int]) -> str:
     return machine.logic.show(term)
 
 
-def _printed_text(machine: Machine, term: Term, number: Optional[int]) -> str:
+def _printed_text(machine: ProgramMachine, term: Term, number: Optional[int]) -> str:
     return print_to_text(machine, term)
 
 
-def _string_text(machine: Machine, term: Term, number: Optional[int]) -> str:
+def _string_text(machine: ProgramMachine, term: Term, number: Optional[int]) -> str:
     value = deref(term)
     # Numbers are not accepted, unlike by most other predicates on texts.
     is_text = value.__class__ in (String, Atom) or is_text_list(value)
@@ -323,7 +323,7 @@ def group_digits(digits: str, size: int, mark: str) -> str:
     )
 
 
-def _underscored_integer(machine: Machine, term: Term, number: Optional[int]) -> str:
+def _underscored_integer(machine: ProgramMachine, term: Term, number: Optional[int]) -> str:
     """Return an integer with its digits in groups separated by ``_``, which is valid Prolog syntax."""
     value = _evaluate_integer("I", term)
     return ("-" if value < 0 else "") + group_digits(number_text(abs(value)), number or 3, "_")
@@ -336,7 +336,7 @@ def _decimal_converter(mark: str) -> Callable[..., str]:
         mark: separator of groups of three digits before the point; "" for none.
     """
 
-    def convert(machine: Machine, term: Term, number: Optional[int]) -> str:
+    def convert(machine: ProgramMachine, term: Term, number: Optional[int]) -> str:
         value = _evaluate_integer("d", term)
         digits = number_text(abs(value))
         fraction = ""
@@ -353,7 +353,7 @@ def _decimal_converter(mark: str) -> Callable[..., str]:
 def _float_converter(letter: str) -> Callable[..., str]:
     """Return the conversion of ``~Ne``, ``~Nf`` or ``~Ng``, with N decimal places."""
 
-    def convert(machine: Machine, term: Term, number: Optional[int]) -> str:
+    def convert(machine: ProgramMachine, term: Term, number: Optional[int]) -> str:
         value = evaluate(term)
         places = 6 if number is None else number
         # Exact, while a conversion to float would round large integers.
@@ -384,7 +384,7 @@ def format_in_radix(value: int, radix: int) -> str:
 def _radix_converter(change_case: Callable[[str], str]) -> Callable[..., str]:
     """Return the conversion of ``~Nr`` or ``~NR``: an integer in base N."""
 
-    def convert(machine: Machine, term: Term, number: Optional[int]) -> str:
+    def convert(machine: ProgramMachine, term: Term, number: Optional[int]) -> str:
         value = _evaluate_integer("r", term)
         if number is None:
             number = 8

@@ -14,7 +14,7 @@ from ..compiler.clause_nodes import ARROW, CALL, NOT, SEMICOLON
 from ..database.goal_terms import add_arguments, check_body
 from ..machine.arithmetic import evaluate
 from ..machine.errors import PrologError, domain_error, instantiation_error, type_error
-from ..machine.machine import Code, Guard, Machine
+from ..machine.machine import Code, Guard
 from ..machine.resource_limits import Budget, CallLimitError, record_caught_error
 from ..terms.term_traversal import copy, term_key, variables
 from ..terms.types import (
@@ -34,30 +34,30 @@ from ..terms.types import (
 )
 from ..terms.unification import undo, unify
 from .argument_checks import callable_of, integer, items, number
-from .builtin_registry import control, deterministic
+from .builtin_registry import ProgramMachine, control, deterministic
 from .grammar_and_ssu_rules import translate_body
 
 
 @deterministic("true/0", "otherwise/0", "trim_stacks/0")
-def true(machine: Machine) -> bool:
+def true(machine: ProgramMachine) -> bool:
     """Succeed."""
     return True
 
 
 @deterministic("fail/0", "false/0")
-def fail(machine: Machine) -> bool:
+def fail(machine: ProgramMachine) -> bool:
     """Fail."""
     return False
 
 
 @control("not/1")
-def not_provable(machine: Machine, args: Values, continuation: Frame) -> Optional[Frame]:
+def not_provable(machine: ProgramMachine, args: Values, continuation: Frame) -> Optional[Frame]:
     """Test that a goal has no solution."""
     return machine.logic.control.call((NOT, (CALL, args[0])), continuation)
 
 
 @control("apply/2")
-def apply(machine: Machine, args: Values, continuation: Frame) -> Optional[Frame]:
+def apply(machine: ProgramMachine, args: Values, continuation: Frame) -> Optional[Frame]:
     """Call a goal with the items of a list as additional arguments."""
     goal = callable_of(args[0])
     modules = machine.logic.database.modules
@@ -67,7 +67,7 @@ def apply(machine: Machine, args: Values, continuation: Frame) -> Optional[Frame
 
 
 @control("^/2")
-def existential(machine: Machine, args: Values, continuation: Frame) -> Optional[Frame]:
+def existential(machine: ProgramMachine, args: Values, continuation: Frame) -> Optional[Frame]:
     """Call the goal of ``Variable^Goal``: outside of ``bagof/3`` and ``setof/3`` the quantifier has no effect."""
     return machine.logic.control.call(args[1], continuation)
 
@@ -76,7 +76,7 @@ def existential(machine: Machine, args: Values, continuation: Frame) -> Optional
 
 
 @control("phrase/2", "phrase/3")
-def phrase(machine: Machine, args: Values, continuation: Frame) -> Optional[Frame]:
+def phrase(machine: ProgramMachine, args: Values, continuation: Frame) -> Optional[Frame]:
     """Parse a list with a grammar body."""
     remainder = args[2] if len(args) == 3 else NIL
     for term in (args[1], remainder):
@@ -105,7 +105,7 @@ def phrase(machine: Machine, args: Values, continuation: Frame) -> Optional[Fram
 
 
 @control("call_with_time_limit/2")
-def call_with_time_limit(machine: Machine, args: Values, continuation: Frame) -> Optional[Frame]:
+def call_with_time_limit(machine: ProgramMachine, args: Values, continuation: Frame) -> Optional[Frame]:
     """Run a goal once, and throw ``time_limit_exceeded`` if it takes longer than a number of seconds."""
     seconds = number(args[0])
     if seconds <= 0:
@@ -132,7 +132,7 @@ def _remove_time_limit(entry: Frame) -> None:
 
 def _finish_in_time(frame: Frame) -> Frame:
     """Remove the time limit and the choice points of a goal that has succeeded."""
-    machine: Machine
+    machine: ProgramMachine
     continuation: Frame
     _, machine, height, continuation = frame
     entry = machine.choices[height]
@@ -151,7 +151,7 @@ _FINISH_IN_TIME = Code("call_with_time_limit", _finish_in_time)
 
 
 @control("call_with_inference_limit/3")
-def call_with_inference_limit(machine: Machine, args: Values, continuation: Frame) -> Optional[Frame]:
+def call_with_inference_limit(machine: ProgramMachine, args: Values, continuation: Frame) -> Optional[Frame]:
     """Run a goal with a limit of inferences, counted in thousands; the result is that of SWI-Prolog."""
     goal, count, result = args
     ball = (_INFERENCE_LIMIT, machine.budget.ceiling_after(integer(count)))
@@ -160,7 +160,7 @@ def call_with_inference_limit(machine: Machine, args: Values, continuation: Fram
 
 
 @control("$within/3")
-def within(machine: Machine, args: Values, continuation: Frame) -> Optional[Frame]:
+def within(machine: ProgramMachine, args: Values, continuation: Frame) -> Optional[Frame]:
     """Run a goal with the ceiling of inferences that `call_with_inference_limit` has computed."""
     goal, ball, result = args
     ball = deref(ball)
@@ -186,7 +186,7 @@ def _remove_ceiling(entry: Frame) -> None:
 
 def _finish_within(frame: Frame) -> Optional[Frame]:
     """Remove the ceiling of a goal that has succeeded; its result is ``!`` after the last solution, else ``true``."""
-    machine: Machine
+    machine: ProgramMachine
     continuation: Frame
     _, machine, height, result, continuation = frame
     entry = machine.choices[height]
@@ -212,7 +212,7 @@ _FINISH_WITHIN = Code("call_with_inference_limit", _finish_within)
 
 
 @control("limit/2")
-def limit(machine: Machine, args: Values, continuation: Frame) -> Optional[Frame]:
+def limit(machine: ProgramMachine, args: Values, continuation: Frame) -> Optional[Frame]:
     """Return only the first solutions of a goal."""
     count = evaluate(args[0])
     if count <= 0:
@@ -224,7 +224,7 @@ def limit(machine: Machine, args: Values, continuation: Frame) -> Optional[Frame
 
 def _count_solution(frame: Frame) -> Frame:
     """Count a solution; the last one that is wanted cuts the goal."""
-    machine: Machine
+    machine: ProgramMachine
     continuation: Frame
     _, machine, height, remaining, continuation = frame
     remaining[0] -= 1
@@ -237,7 +237,7 @@ _COUNT_SOLUTION = Code("limit", _count_solution)
 
 
 @control("offset/2")
-def offset(machine: Machine, args: Values, continuation: Frame) -> Optional[Frame]:
+def offset(machine: ProgramMachine, args: Values, continuation: Frame) -> Optional[Frame]:
     """Skip the first solutions of a goal."""
     count = evaluate(args[0])
     if count < 0:
@@ -258,7 +258,7 @@ _SKIP_SOLUTION = Code("offset", _skip_solution)
 
 
 @control("distinct/1", "distinct/2")
-def distinct(machine: Machine, args: Values, continuation: Frame) -> Optional[Frame]:
+def distinct(machine: ProgramMachine, args: Values, continuation: Frame) -> Optional[Frame]:
     """Return only solutions whose witness, by default the goal, is not a variant of an earlier one."""
     # The set belongs to this call: backtracking into the goal keeps it, a new call starts with an empty one.
     seen_keys: Set[Hashable] = set()
@@ -279,7 +279,7 @@ _FILTER_DISTINCT = Code("distinct", _filter_distinct)
 
 
 @control("call_nth/2")
-def call_nth(machine: Machine, args: Values, continuation: Frame) -> Optional[Frame]:
+def call_nth(machine: ProgramMachine, args: Values, continuation: Frame) -> Optional[Frame]:
     """Enumerate the solutions of a goal with their numbers, or return the one with a given number."""
     number = deref(args[1])
     if number.__class__ is not Var and integer(number) < 1:
@@ -289,7 +289,7 @@ def call_nth(machine: Machine, args: Values, continuation: Frame) -> Optional[Fr
 
 
 def _number_solution(frame: Frame) -> Optional[Frame]:
-    machine: Machine
+    machine: ProgramMachine
     continuation: Frame
     _, machine, height, count, number, continuation = frame
     count[0] += 1
@@ -305,7 +305,7 @@ _NUMBER_SOLUTION = Code("call_nth", _number_solution)
 
 
 @control(*[f">>/{arity}" for arity in range(2, 10)], is_protected=False)
-def call_lambda(machine: Machine, args: Values, continuation: Frame) -> Optional[Frame]:
+def call_lambda(machine: ProgramMachine, args: Values, continuation: Frame) -> Optional[Frame]:
     """Call a lambda expression ``Free/[X1, ...]>>Body`` with arguments.
 
     Its variables are renamed for each call, except those in ``Free``, as in SWI-Prolog's ``library(yall)``.
@@ -343,7 +343,7 @@ class _Cleanup:
 
     __slots__ = ("machine", "goal", "is_done")
 
-    def __init__(self, machine: Machine, goal: Term):
+    def __init__(self, machine: ProgramMachine, goal: Term):
         self.machine = machine
         self.goal = goal
         self.is_done = False
@@ -371,21 +371,21 @@ class _Cleanup:
 
 
 @control("setup_call_cleanup/3")
-def setup_call_cleanup(machine: Machine, args: Values, continuation: Frame) -> Optional[Frame]:
+def setup_call_cleanup(machine: ProgramMachine, args: Values, continuation: Frame) -> Optional[Frame]:
     """Run a goal, and a cleanup after it has failed, raised an error, exited without choice points, or been cut."""
     setup, goal, cleanup = args
     return machine.logic.control.once(setup, (_CALL_GUARDED, machine, goal, cleanup, continuation))
 
 
 @control("call_cleanup/2")
-def call_cleanup(machine: Machine, args: Values, continuation: Frame) -> Optional[Frame]:
+def call_cleanup(machine: ProgramMachine, args: Values, continuation: Frame) -> Optional[Frame]:
     """Run a goal, and a cleanup after it has failed, raised an error, exited without choice points, or been cut."""
     return setup_call_cleanup(machine, (atom("true"), *args), continuation)
 
 
 def _call_guarded(frame: Frame) -> Optional[Frame]:
     """Call the goal of ``setup_call_cleanup/3`` above the guard with its cleanup."""
-    machine: Machine
+    machine: ProgramMachine
     continuation: Frame
     _, machine, goal, cleanup, continuation = frame
     # Checked after the setup goal, which may have bound it.
@@ -398,7 +398,7 @@ def _call_guarded(frame: Frame) -> Optional[Frame]:
 
 def _exit_goal(frame: Frame) -> Optional[Frame]:
     """Call the cleanup of a goal that has succeeded without leaving choice points."""
-    machine: Machine
+    machine: ProgramMachine
     continuation: Frame
     _, machine, height, continuation = frame
     # The goal may have more solutions, so its cleanup has to wait.

@@ -13,7 +13,6 @@ from typing import Any, List, NamedTuple, Set, Tuple
 from ..compiler.clause_nodes import ARROW, BAR, EQUAL, NOT, SEMICOLON, SOFT_ARROW
 from ..database.goal_terms import add_arguments
 from ..machine.errors import instantiation_error, no_matching_rule, type_error
-from ..machine.machine import Machine
 from ..terms.list_terms import conjunction, list_items, make_list
 from ..terms.term_traversal import resolve
 from ..terms.types import (
@@ -32,7 +31,7 @@ from ..terms.types import (
     deref,
     functor,
 )
-from .builtin_registry import deterministic
+from .builtin_registry import ProgramMachine, deterministic
 
 _NECK = functor(":-", 2)
 _CURLY = functor("{}", 1)
@@ -258,6 +257,6 @@ def is_error_clause_body(body: Term) -> bool:
 
 
 @deterministic("$no_matching_rule/1")
-def raise_no_matching_rule(machine: Machine, call: Term) -> bool:
+def raise_no_matching_rule(machine: ProgramMachine, call: Term) -> bool:
     """Raise the error for a call that matches no rule."""
     raise no_matching_rule("user", call)

@@ -57,7 +57,7 @@ from ..machine.errors import (
     resource_error,
     type_error,
 )
-from ..machine.machine import LAST, RESUME, Code, Machine
+from ..machine.machine import LAST, RESUME, Code
 from ..terms.array_terms import element, element_count, list_array, sum_of_integers, view
 from ..terms.list_terms import list_items, list_parts, make_list
 from ..terms.term_traversal import CYCLE_CHECK_ROUND, MAX_STEPS, WALK_ROUNDS, require_acyclic
@@ -81,7 +81,7 @@ from ..terms.types import (
 )
 from ..terms.unification import compare, undo, unify
 from .argument_checks import atom_of, count_work, integer, is_iso, items, natural, partial_items
-from .builtin_registry import Outcome, Solutions, control, deterministic, nondeterministic
+from .builtin_registry import Outcome, ProgramMachine, Solutions, control, deterministic, nondeterministic
 
 if TYPE_CHECKING:
     from typing_extensions import TypeGuard
@@ -275,7 +275,7 @@ _REVERSE, _LAST_ITEM = functor("$reverse", 2), functor("$last", 2)
 
 
 @control("length/2")
-def length(machine: Machine, args: Values, continuation: Frame) -> Optional[Frame]:
+def length(machine: ProgramMachine, args: Values, continuation: Frame) -> Optional[Frame]:
     """Relate a list with its length; a partial list is extended."""
     array = None if args[0].__class__ is tuple else list_array(args[0])
     tail: Term
@@ -315,7 +315,7 @@ def _open_list(size: int) -> Term:
 
 
 def _enumerate_lengths(
-    machine: Machine, tail: Term, size: Term, known_count: int, length: int, continuation: Frame
+    machine: ProgramMachine, tail: Term, size: Term, known_count: int, length: int, continuation: Frame
 ) -> Optional[Frame]:
     """Unify with the list that has ``known_count`` items and unbound ones up to ``length``, then with longer ones."""
     # There is always a longer list, so the choice point is pushed for every solution.
@@ -332,13 +332,13 @@ _NEXT_LENGTH.functor = functor("length", 2)
 
 
 @deterministic("msort/2")
-def msort(machine: Machine, unsorted: Term, result: Term) -> bool:
+def msort(machine: ProgramMachine, unsorted: Term, result: Term) -> bool:
     """Sort in the standard order with duplicates."""
     return unify(result, make_list(sort_terms(items(unsorted))), machine.trail)
 
 
 @deterministic("sort/2")
-def sort(machine: Machine, unsorted: Term, result: Term) -> bool:
+def sort(machine: ProgramMachine, unsorted: Term, result: Term) -> bool:
     """Sort in the standard order without duplicates."""
     sorted_terms = sort_unique(items(unsorted))
     if is_iso(machine):
@@ -347,7 +347,9 @@ def sort(machine: Machine, unsorted: Term, result: Term) -> bool:
 
 
 @deterministic("sort/4")
-def sort_by_key_argument(machine: Machine, key: Term, order: Term, unsorted: Term, result: Term) -> bool:
+def sort_by_key_argument(
+    machine: ProgramMachine, key: Term, order: Term, unsorted: Term, result: Term
+) -> bool:
     """Sort by an argument, or by the whole term for 0, in one of the orders ``@<``, ``@=<``, ``@>``, ``@>=``."""
     position = _parse_key_position(key)
     order = deref(order)
@@ -400,7 +402,7 @@ def _key_argument(item: Term, position: Optional[int]) -> Term:
 
 
 @deterministic("keysort/2")
-def keysort(machine: Machine, pairs: Term, result: Term) -> bool:
+def keysort(machine: ProgramMachine, pairs: Term, result: Term) -> bool:
     """Sort pairs ``Key-Value`` by key; the sort is stable."""
     sorted_pairs = [_checked_pair(item) for item in with_limit_checks(items(pairs))]
     sorted_pairs = [pair for _, pair in sort_by(sorted_pairs, [pair[1] for pair in sorted_pairs])]
@@ -456,7 +458,7 @@ class _Merge:
 
 
 @control("$predmerge/4")
-def predmerge(machine: Machine, args: Values, continuation: Frame) -> Optional[Frame]:
+def predmerge(machine: ProgramMachine, args: Values, continuation: Frame) -> Optional[Frame]:
     """Merge two sorted lists for ``predsort/3``: a goal compares two items, and of equal ones the first is kept."""
     closure, first, second, result = args
     # The predicate is resolved once, not for each comparison; the arguments are replaced in `_merge`.
@@ -465,7 +467,7 @@ def predmerge(machine: Machine, args: Values, continuation: Frame) -> Optional[F
     return _merge(machine, _Merge(call, items(first), items(second), result, continuation))
 
 
-def _merge(machine: Machine, state: _Merge) -> Optional[Frame]:
+def _merge(machine: ProgramMachine, state: _Merge) -> Optional[Frame]:
     """Return the frame that compares the next items of both lists, or the continuation if one list has ended."""
     first, position = state.first, state.position
     second, second_position = state.second, state.second_position
@@ -479,7 +481,7 @@ def _merge(machine: Machine, state: _Merge) -> Optional[Frame]:
 
 def _merge_next(frame: Frame) -> Optional[Frame]:
     """Append the item that is first by the result of the comparison goal, which is cut."""
-    machine: Machine
+    machine: ProgramMachine
     state: _Merge
     _, machine, state, order, height = frame
     # Cuts the comparison goal, which is called once.
@@ -518,7 +520,7 @@ def _checked_pair(term: Term) -> CompoundTerm:
 
 
 @control("reverse/2", is_protected=False)
-def reverse(machine: Machine, args: Values, continuation: Frame) -> Optional[Frame]:
+def reverse(machine: ProgramMachine, args: Values, continuation: Frame) -> Optional[Frame]:
     """Reverse a list."""
     values = list_items(args[0])
     if values is None:
@@ -527,7 +529,7 @@ def reverse(machine: Machine, args: Values, continuation: Frame) -> Optional[Fra
 
 
 @deterministic("memberchk/2", is_protected=False)
-def memberchk(machine: Machine, item: Term, list_term: Term) -> bool:
+def memberchk(machine: ProgramMachine, item: Term, list_term: Term) -> bool:
     """Unify with the first item of a list that unifies; a partial list is extended."""
     trail = machine.trail
     tail = deref(list_term)
@@ -560,7 +562,7 @@ def _fold_predicate(
     step: Callable[[Term, Term], Term],
     start: Optional[int],
     fold_array: "Callable[[Array], Optional[Number]]",
-) -> Callable[[Machine, Term, Term], bool]:
+) -> Callable[[ProgramMachine, Term, Term], bool]:
     """Return a predicate that folds the numbers of a list.
 
     Args:
@@ -571,7 +573,7 @@ def _fold_predicate(
     """
     list_functor, accumulator_functor = functor(name, 2), functor(name, 3)
 
-    def run(machine: Machine, list_term: Term, result: Term) -> bool:
+    def run(machine: ProgramMachine, list_term: Term, result: Term) -> bool:
         array = None if list_term.__class__ is tuple else list_array(list_term)
         if array is not None:
             count_work(element_count(array))
@@ -642,7 +644,7 @@ deterministic("min_list/2", is_protected=False)(
 
 
 @deterministic("numlist/3", is_protected=False)
-def numlist(machine: Machine, low: Term, high: Term, result: Term) -> bool:
+def numlist(machine: ProgramMachine, low: Term, high: Term, result: Term) -> bool:
     """Unify with the list of integers between two bounds."""
     first, last = integer(low), integer(high)
     # A longer list could not be processed by other predicates either.
@@ -657,7 +659,7 @@ def numlist(machine: Machine, low: Term, high: Term, result: Term) -> bool:
 
 
 @control("last/2", is_protected=False)
-def last(machine: Machine, args: Values, continuation: Frame) -> Optional[Frame]:
+def last(machine: ProgramMachine, args: Values, continuation: Frame) -> Optional[Frame]:
     """Unify with the last item of a list."""
     values = list_items(args[0])
     if values is None:
@@ -666,7 +668,7 @@ def last(machine: Machine, args: Values, continuation: Frame) -> Optional[Frame]
 
 
 @deterministic("list_to_set/2", is_protected=False)
-def list_to_set(machine: Machine, list_term: Term, result: Term) -> bool:
+def list_to_set(machine: ProgramMachine, list_term: Term, result: Term) -> bool:
     """Remove duplicates by ``==``, and keep the first of each."""
     values = items(list_term)
     # The sort is stable, so the first of equal items is the one that was first in the list.
@@ -679,15 +681,15 @@ def list_to_set(machine: Machine, list_term: Term, result: Term) -> bool:
 
 
 @deterministic("list_to_ord_set/2", is_protected=False)
-def list_to_ord_set(machine: Machine, list_term: Term, result: Term) -> bool:
+def list_to_ord_set(machine: ProgramMachine, list_term: Term, result: Term) -> bool:
     """Sort without duplicates."""
     return sort(machine, list_term, result)
 
 
-def _nth_predicate(base: int) -> Callable[[Machine, Term, Term, Term], Outcome]:
+def _nth_predicate(base: int) -> Callable[[ProgramMachine, Term, Term, Term], Outcome]:
     """Return ``nth0/3`` or ``nth1/3``; items are counted from ``base``."""
 
-    def run(machine: Machine, index: Term, list_term: Term, item: Term) -> Outcome:
+    def run(machine: ProgramMachine, index: Term, list_term: Term, item: Term) -> Outcome:
         index = deref(index)
         if index.__class__ is Var:
             return _enumerate_items(machine, index, base, list_term, item)
@@ -701,7 +703,7 @@ def _nth_predicate(base: int) -> Callable[[Machine, Term, Term, Term], Outcome]:
     return run
 
 
-def _unify_item(machine: Machine, skipped: int, list_term: Term, item: Term) -> bool:
+def _unify_item(machine: ProgramMachine, skipped: int, list_term: Term, item: Term) -> bool:
     """Unify the item after ``skipped`` others; a partial list is extended."""
     array = None if list_term.__class__ is tuple else list_array(list_term)
     if array is not None:
@@ -720,7 +722,9 @@ def _unify_item(machine: Machine, skipped: int, list_term: Term, item: Term) -> 
     )
 
 
-def _enumerate_items(machine: Machine, index: Term, base: int, list_term: Term, item: Term) -> Solutions:
+def _enumerate_items(
+    machine: ProgramMachine, index: Term, base: int, list_term: Term, item: Term
+) -> Solutions:
     """Enumerate the items with their numbers; a partial list is extended."""
     tail = deref(list_term)
     number = base
@@ -760,7 +764,7 @@ nondeterministic("nth1/3", is_protected=False)(_nth_predicate(1))
 
 
 @nondeterministic("between/3")
-def between(machine: Machine, low: Term, high: Term, value: Term) -> Outcome:
+def between(machine: ProgramMachine, low: Term, high: Term, value: Term) -> Outcome:
     """Enumerate the integers between two bounds; the upper one may be ``inf``."""
     first = integer(low)
     high = deref(high)
@@ -809,7 +813,7 @@ def limited_rounds() -> Iterator[None]:
 
 def _filter_predicate(
     key: Functor, keeps_members: bool, make_tail: Callable[[Term], Term]
-) -> Callable[[Machine, Term, Term, Term], bool]:
+) -> Callable[[ProgramMachine, Term, Term, Term], bool]:
     """Return a predicate that keeps some items of a list.
 
     Args:
@@ -818,7 +822,7 @@ def _filter_predicate(
         make_tail: returns the items that follow the kept ones in the result, from the second list.
     """
 
-    def run(machine: Machine, list_term: Term, second_list: Term, result: Term) -> bool:
+    def run(machine: ProgramMachine, list_term: Term, second_list: Term, result: Term) -> bool:
         remaining = deref(list_term)
         for _ in limited_rounds():
             if not is_cons(remaining):
@@ -846,7 +850,7 @@ deterministic("union/3", is_protected=False)(
 
 
 @deterministic("subset/2", is_protected=False)
-def subset(machine: Machine, list_term: Term, superset: Term) -> bool:
+def subset(machine: ProgramMachine, list_term: Term, superset: Term) -> bool:
     """Test that each item of a list unifies with an item of another list."""
     remaining = deref(list_term)
     for _ in limited_rounds():
@@ -860,11 +864,11 @@ def subset(machine: Machine, list_term: Term, superset: Term) -> bool:
     return True
 
 
-def _extreme_member_predicate(name: str, sign: int) -> Callable[[Machine, Term, Term], bool]:
+def _extreme_member_predicate(name: str, sign: int) -> Callable[[ProgramMachine, Term, Term], bool]:
     """Return a predicate that finds the last item in the standard order, or the first one if ``sign`` is -1."""
     list_functor, accumulator_functor = functor(name, 2), functor(f"{name}_", 3)
 
-    def run(machine: Machine, result: Term, list_term: Term) -> bool:
+    def run(machine: ProgramMachine, result: Term, list_term: Term) -> bool:
         remaining = deref(list_term)
         if remaining is NIL:
             return False
@@ -889,7 +893,7 @@ deterministic("min_member/2", is_protected=False)(_extreme_member_predicate("min
 
 
 @deterministic("ord_union/3", is_protected=False)
-def ord_union(machine: Machine, left: Term, right: Term, result: Term) -> bool:
+def ord_union(machine: ProgramMachine, left: Term, right: Term, result: Term) -> bool:
     """Compute the union of two ordered sets."""
     first: Optional[Term] = None  # the item taken from the left set and not yet merged
     for _ in limited_rounds():
@@ -920,7 +924,7 @@ def ord_union(machine: Machine, left: Term, right: Term, result: Term) -> bool:
 
 
 @deterministic("ord_union/2", is_protected=False)
-def ord_union_all(machine: Machine, sets: Term, result: Term) -> bool:
+def ord_union_all(machine: ProgramMachine, sets: Term, result: Term) -> bool:
     """Compute the union of a list of ordered sets."""
     merged = list_items(sets)
     if merged is None:
@@ -935,13 +939,13 @@ def ord_union_all(machine: Machine, sets: Term, result: Term) -> bool:
 
 
 @deterministic("$no_rule/2")
-def no_rule(machine: Machine, module: Term, goal: Term) -> bool:
+def no_rule(machine: ProgramMachine, module: Term, goal: Term) -> bool:
     """Raise the error of a library predicate for a call that matches no rule."""
     raise no_matching_rule(atom_of(module).name, goal)
 
 
 @deterministic("random/1")
-def random_float(machine: Machine, value: Term) -> bool:
+def random_float(machine: ProgramMachine, value: Term) -> bool:
     """Unify with a random float between 0 and 1, excluding both."""
     # `random.random` may return 0.0, which is excluded.
     return unify(value, random.random() or 0.5, machine.trail)
@@ -952,7 +956,7 @@ _RANDOM_BITS_PER_STEP = 64
 
 
 @deterministic("random_between/3")
-def random_between(machine: Machine, low: Term, high: Term, value: Term) -> bool:
+def random_between(machine: ProgramMachine, low: Term, high: Term, value: Term) -> bool:
     """Unify with a random integer between two bounds, including both."""
     first, last = integer(low), integer(high)
     # A number of a million digits takes a millisecond, as long as thousands of inferences.
@@ -963,7 +967,7 @@ def random_between(machine: Machine, low: Term, high: Term, value: Term) -> bool
 
 
 @deterministic("random_member/2")
-def random_member(machine: Machine, value: Term, list_term: Term) -> bool:
+def random_member(machine: ProgramMachine, value: Term, list_term: Term) -> bool:
     """Unify with a random item of a list."""
     values = items(list_term)
     if not values:
@@ -972,7 +976,7 @@ def random_member(machine: Machine, value: Term, list_term: Term) -> bool:
 
 
 @deterministic("random_permutation/2")
-def random_permutation(machine: Machine, list_term: Term, result: Term) -> bool:
+def random_permutation(machine: ProgramMachine, list_term: Term, result: Term) -> bool:
     """Unify with a random permutation of a list."""
     values = items(list_term)
     # Sorting by random ranks instead of `random.shuffle` has the checks of limits of `sorted_positions`.
@@ -981,7 +985,7 @@ def random_permutation(machine: Machine, list_term: Term, result: Term) -> bool:
 
 
 @deterministic("set_random/1")
-def set_random(machine: Machine, option: Term) -> bool:
+def set_random(machine: ProgramMachine, option: Term) -> bool:
     """Set the seed of the random number generator: ``seed(Number)`` or ``seed(random)``."""
     option = deref(option)
     if option.__class__ is Var:

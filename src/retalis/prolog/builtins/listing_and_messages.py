@@ -12,14 +12,14 @@ from ...foundation.displayed_text import shorten
 from ..compiler.clause_nodes import ARROW, NOT, SEMICOLON, SOFT_ARROW
 from ..database.predicate import Predicate
 from ..machine.errors import ERROR, describe, indicator
-from ..machine.machine import LAST, Machine
+from ..machine.machine import LAST
 from ..syntax.operators import Operator, Operators
 from ..syntax.term_writer import add_full_stop, named_message_portray, write_term
 from ..terms.list_terms import list_items
 from ..terms.term_traversal import copy
 from ..terms.types import COMMA, SLASH, TRUE, Atom, Functor, String, Term, Var, atom, deref, functor
 from .argument_checks import atom_of, indicator_of
-from .builtin_registry import Solutions, deterministic, nondeterministic
+from .builtin_registry import ProgramMachine, Solutions, deterministic, nondeterministic
 from .output_predicates import format_to_text, make_variable_names, write_to
 
 if TYPE_CHECKING:
@@ -34,7 +34,7 @@ _LINE_OPTIONS: Dict[str, Any] = {"quoted": True, "numbervars": True, "spacing": 
 
 
 @deterministic("print_message/2")
-def print_message(machine: Machine, message_kind: Term, message: Term) -> bool:
+def print_message(machine: ProgramMachine, message_kind: Term, message: Term) -> bool:
     """Report a message: ``format(Format, Args)``, an error term, or any other term."""
     name = atom_of(message_kind).name
     # Messages of these kinds are not shown.
@@ -46,7 +46,7 @@ def print_message(machine: Machine, message_kind: Term, message: Term) -> bool:
     return True
 
 
-def format_message(machine: Machine, message: Term) -> str:
+def format_message(machine: ProgramMachine, message: Term) -> str:
     """Return the text of a message."""
     if message.__class__ is tuple:
         if message[0] is _FORMAT:
@@ -59,7 +59,7 @@ def format_message(machine: Machine, message: Term) -> str:
 
 
 @deterministic("print_message_lines/3")
-def print_message_lines(machine: Machine, stream: Term, prefix: Term, lines: Term) -> bool:
+def print_message_lines(machine: ProgramMachine, stream: Term, prefix: Term, lines: Term) -> bool:
     """Write the lines of a message: items ``Format-Args``, ``Format`` and ``nl``."""
     texts = []
     for line in list_items(lines) or []:
@@ -84,30 +84,30 @@ MAX_LOGGED_CHARACTERS = 4_096
 
 
 @deterministic("log_debug/2")
-def log_debug(machine: Machine, text_format: Term, arguments: Term) -> bool:
+def log_debug(machine: ProgramMachine, text_format: Term, arguments: Term) -> bool:
     """Log a formatted text with the level DEBUG."""
     return _log(machine, logging.DEBUG, text_format, arguments)
 
 
 @deterministic("log_info/2")
-def log_info(machine: Machine, text_format: Term, arguments: Term) -> bool:
+def log_info(machine: ProgramMachine, text_format: Term, arguments: Term) -> bool:
     """Log a formatted text with the level INFO."""
     return _log(machine, logging.INFO, text_format, arguments)
 
 
 @deterministic("log_warn/2")
-def log_warn(machine: Machine, text_format: Term, arguments: Term) -> bool:
+def log_warn(machine: ProgramMachine, text_format: Term, arguments: Term) -> bool:
     """Log a formatted text with the level WARNING."""
     return _log(machine, logging.WARNING, text_format, arguments)
 
 
 @deterministic("log_error/2")
-def log_error(machine: Machine, text_format: Term, arguments: Term) -> bool:
+def log_error(machine: ProgramMachine, text_format: Term, arguments: Term) -> bool:
     """Log a formatted text with the level ERROR."""
     return _log(machine, logging.ERROR, text_format, arguments)
 
 
-def _log(machine: Machine, level: int, text_format: Term, arguments: Term) -> bool:
+def _log(machine: ProgramMachine, level: int, text_format: Term, arguments: Term) -> bool:
     text = format_to_text(machine, text_format, arguments)
     goal_log.log(level, "%s", shorten(text, MAX_LOGGED_CHARACTERS))
     return True
@@ -117,20 +117,20 @@ def _log(machine: Machine, level: int, text_format: Term, arguments: Term) -> bo
 
 
 @deterministic("portray_clause/1")
-def portray_clause(machine: Machine, term: Term) -> bool:
+def portray_clause(machine: ProgramMachine, term: Term) -> bool:
     """Write a clause with layout and named variables."""
     machine.logic.write(format_clause(machine, term))
     return True
 
 
 @deterministic("portray_clause/2")
-def portray_clause_to(machine: Machine, stream: Term, term: Term) -> bool:
+def portray_clause_to(machine: ProgramMachine, stream: Term, term: Term) -> bool:
     """Write a clause to a stream with layout and named variables."""
     write_to(machine, stream, format_clause(machine, term))
     return True
 
 
-def format_clause(machine: Machine, term: Term) -> str:
+def format_clause(machine: ProgramMachine, term: Term) -> str:
     """Return the text of a clause, with one goal per line; variables are named A, B, ..., or ``_`` if single."""
     # The names are bound to variables of a copy, so that the clause itself is not changed.
     term = copy(term)
@@ -273,7 +273,7 @@ class _BodyLayout:
 
 
 @deterministic("listing/1")
-def listing(machine: Machine, target: Term) -> bool:
+def listing(machine: ProgramMachine, target: Term) -> bool:
     """Write the clauses of the predicates with a name or an indicator, or of a list of them."""
     target = deref(machine.logic.database.modules.resolve_declared_indicators(target))
     targets = list_items(target)
@@ -283,7 +283,7 @@ def listing(machine: Machine, target: Term) -> bool:
     return True
 
 
-def _find_predicates(machine: Machine, target: Term) -> List[Predicate]:
+def _find_predicates(machine: ProgramMachine, target: Term) -> List[Predicate]:
     """Return the predicates with a name, or the predicate of an indicator."""
     database = machine.logic.database
     if target.__class__ is tuple and target[0] is SLASH and deref(target[2]).__class__ is not Var:
@@ -300,7 +300,7 @@ def _find_predicates(machine: Machine, target: Term) -> List[Predicate]:
 
 
 @deterministic("listing/0")
-def listing_all(machine: Machine) -> bool:
+def listing_all(machine: ProgramMachine) -> bool:
     """Write all clauses of the program, without those of libraries."""
     predicates = list(machine.logic.database.predicates.values())
     # The hidden predicates of tabled ones are listed under the names of these.
@@ -311,7 +311,7 @@ def listing_all(machine: Machine) -> bool:
     return True
 
 
-def _list_predicate(machine: Machine, predicate: Predicate) -> None:
+def _list_predicate(machine: ProgramMachine, predicate: Predicate) -> None:
     """Write the declarations and clauses of a predicate."""
     clause_owner = predicate.clause_owner
     # Predicates that are written in Python have no clauses.
@@ -336,7 +336,7 @@ def _list_predicate(machine: Machine, predicate: Predicate) -> None:
 
 
 @nondeterministic("predicate_property/2")
-def predicate_property(machine: Machine, head: Term, prop: Term) -> Solutions:
+def predicate_property(machine: ProgramMachine, head: Term, prop: Term) -> Solutions:
     """Enumerate the properties of a predicate."""
     logic = machine.logic
     modules = logic.database.modules
@@ -393,7 +393,7 @@ def _properties(predicate: Predicate) -> Iterator[Term]:
 
 
 @nondeterministic("nth_clause/3")
-def nth_clause(machine: Machine, head: Term, number: Term, reference: Term) -> Solutions:
+def nth_clause(machine: ProgramMachine, head: Term, number: Term, reference: Term) -> Solutions:
     """Enumerate the clauses of a predicate with their numbers; the clause term is used as its reference."""
     head = deref(head)
     key = head[0] if head.__class__ is tuple else atom_of(head).functor

@@ -17,14 +17,14 @@ from ..machine.errors import (
     resource_error,
     type_error,
 )
-from ..machine.machine import Code, Guard, Machine
+from ..machine.machine import Code, Guard
 from ..syntax.term_writer import write_term
 from ..terms.list_terms import list_items, make_list
 from ..terms.term_traversal import resolve
 from ..terms.types import CONS, NIL, Atom, CompoundTerm, Frame, String, Term, Values, Var, atom, deref
 from ..terms.unification import unify
 from .argument_checks import integer, is_iso, option_values
-from .builtin_registry import control, deterministic
+from .builtin_registry import ProgramMachine, control, deterministic
 from .format_strings import Formatter, make_portray, print_to_text
 from .text_arguments import (
     MAX_CODE,
@@ -80,7 +80,7 @@ _MAX_BLANKS = 10_000_000
 """Limit for the blanks that ``tab/1`` writes."""
 
 
-def write_to(machine: Machine, stream: Term, text: str) -> None:
+def write_to(machine: ProgramMachine, stream: Term, text: str) -> None:
     """Write text to a stream.
 
     Raises:
@@ -89,10 +89,10 @@ def write_to(machine: Machine, stream: Term, text: str) -> None:
     streams_of(machine).write(stream, text)
 
 
-def _writer(**options: bool) -> Callable[[Machine, Term], str]:
+def _writer(**options: bool) -> Callable[[ProgramMachine, Term], str]:
     """Return a function that returns the text of a term, written with some options."""
 
-    def write(machine: Machine, term: Term) -> str:
+    def write(machine: ProgramMachine, term: Term) -> str:
         return write_term(term, machine.logic.operators, **options)
 
     return write
@@ -124,13 +124,13 @@ def make_variable_names(term: Term) -> Dict[Var, str]:
     return names
 
 
-def _canonical_text(machine: Machine, term: Term) -> str:
+def _canonical_text(machine: ProgramMachine, term: Term) -> str:
     operators = machine.logic.operators
     names = make_variable_names(term)
     return write_term(term, operators, ignore_ops=True, brace_terms=False, variable_names=names)
 
 
-_WRITERS: Dict[str, Callable[[Machine, Term], str]] = {
+_WRITERS: Dict[str, Callable[[ProgramMachine, Term], str]] = {
     "write": _writer(quoted=False, numbervars=True),
     "print": print_to_text,
     "writeln": _writer(quoted=False, numbervars=True),
@@ -139,15 +139,15 @@ _WRITERS: Dict[str, Callable[[Machine, Term], str]] = {
 }
 
 
-def _define_writer(name: str, to_text: Callable[[Machine, Term], str]) -> None:
+def _define_writer(name: str, to_text: Callable[[ProgramMachine, Term], str]) -> None:
     """Define a predicate such as ``write``, with one argument and, for a stream, with two."""
     end = "\n" if name == "writeln" else ""
 
-    def one_argument(machine: Machine, term: Term) -> bool:
+    def one_argument(machine: ProgramMachine, term: Term) -> bool:
         machine.logic.write(to_text(machine, term) + end)
         return True
 
-    def two_arguments(machine: Machine, stream: Term, term: Term) -> bool:
+    def two_arguments(machine: ProgramMachine, stream: Term, term: Term) -> bool:
         write_to(machine, stream, to_text(machine, term) + end)
         return True
 
@@ -160,14 +160,14 @@ for _name, _to_text in _WRITERS.items():
 
 
 @deterministic("nl/0")
-def nl(machine: Machine) -> bool:
+def nl(machine: ProgramMachine) -> bool:
     """Write a newline."""
     machine.logic.write("\n")
     return True
 
 
 @deterministic("nl/1")
-def nl_to(machine: Machine, stream: Term) -> bool:
+def nl_to(machine: ProgramMachine, stream: Term) -> bool:
     """Write a newline to a stream."""
     write_to(machine, stream, "\n")
     return True
@@ -185,20 +185,20 @@ def _blanks(count: Term) -> str:
 
 
 @deterministic("tab/1")
-def tab(machine: Machine, count: Term) -> bool:
+def tab(machine: ProgramMachine, count: Term) -> bool:
     """Write blanks."""
     machine.logic.write(_blanks(count))
     return True
 
 
 @deterministic("tab/2")
-def tab_to(machine: Machine, stream: Term, count: Term) -> bool:
+def tab_to(machine: ProgramMachine, stream: Term, count: Term) -> bool:
     """Write blanks to a stream."""
     write_to(machine, stream, _blanks(count))
     return True
 
 
-def character_of(machine: Machine, char: Term) -> str:
+def character_of(machine: ProgramMachine, char: Term) -> str:
     """Return the character of an argument; a character code is accepted too, unless the flag ``iso`` is set.
 
     Raises:
@@ -215,21 +215,21 @@ def character_of(machine: Machine, char: Term) -> str:
 
 
 @deterministic("put_char/1", "put/1")
-def put_char(machine: Machine, char: Term) -> bool:
+def put_char(machine: ProgramMachine, char: Term) -> bool:
     """Write a character."""
     machine.logic.write(character_of(machine, char))
     return True
 
 
 @deterministic("put_char/2")
-def put_char_to(machine: Machine, stream: Term, char: Term) -> bool:
+def put_char_to(machine: ProgramMachine, stream: Term, char: Term) -> bool:
     """Write a character to a stream."""
     write_to(machine, stream, character_of(machine, char))
     return True
 
 
 @deterministic("flush_output/0", "ttyflush/0")
-def flush_output(machine: Machine) -> bool:
+def flush_output(machine: ProgramMachine) -> bool:
     """Write the buffered text of the current output to its file."""
     output = streams_of(machine).output
     if output is None:
@@ -242,7 +242,7 @@ def flush_output(machine: Machine) -> bool:
 # Writing with options
 
 
-def write_options(machine: Machine, options: Term, quoted: bool = False) -> Dict[str, object]:
+def write_options(machine: ProgramMachine, options: Term, quoted: bool = False) -> Dict[str, object]:
     """Return the options of ``write_term/2`` as keyword arguments of the writer.
 
     Args:
@@ -310,34 +310,34 @@ def _convert_variable_names(option: CompoundTerm) -> Dict[Var, str]:
     return names
 
 
-def _text_with_options(machine: Machine, term: Term, options: Term, quoted: bool = False) -> str:
+def _text_with_options(machine: ProgramMachine, term: Term, options: Term, quoted: bool = False) -> str:
     values: Dict[str, Any] = write_options(machine, options, quoted)
     depth = values.pop("max_depth", 0)
     return write_term(limit_depth(term, depth) if depth > 0 else term, machine.logic.operators, **values)
 
 
 @deterministic("write_term/2")
-def write_term_2(machine: Machine, term: Term, options: Term) -> bool:
+def write_term_2(machine: ProgramMachine, term: Term, options: Term) -> bool:
     """Write a term with options."""
     machine.logic.write(_text_with_options(machine, term, options))
     return True
 
 
 @deterministic("write_term/3")
-def write_term_3(machine: Machine, stream: Term, term: Term, options: Term) -> bool:
+def write_term_3(machine: ProgramMachine, stream: Term, term: Term, options: Term) -> bool:
     """Write a term with options to a stream."""
     write_to(machine, stream, _text_with_options(machine, term, options))
     return True
 
 
 @deterministic("term_string/2")
-def term_string(machine: Machine, term: Term, text: Term) -> bool:
+def term_string(machine: ProgramMachine, term: Term, text: Term) -> bool:
     """Convert between a term and its text as a string."""
     return term_string_options(machine, term, text, NIL)
 
 
 @deterministic("term_string/3")
-def term_string_options(machine: Machine, term: Term, text: Term, options: Term) -> bool:
+def term_string_options(machine: ProgramMachine, term: Term, text: Term, options: Term) -> bool:
     """Convert between a term and its text as a string.
 
     The options are those of ``read_term/2`` if the text is given, otherwise those of ``write_term/2``; ``quoted``
@@ -371,19 +371,19 @@ def _format_text(format_term: Term) -> str:
     return whole_text(format_term, "text")
 
 
-def format_to_text(machine: Machine, format_term: Term, arguments: Term) -> str:
+def format_to_text(machine: ProgramMachine, format_term: Term, arguments: Term) -> str:
     """Return the text of ``format(Format, Arguments)`` at the beginning of a line."""
     return Formatter(machine, 0).format(_format_text(format_term), _format_arguments(arguments))
 
 
 @deterministic("format/1")
-def format_1(machine: Machine, format_term: Term) -> bool:
+def format_1(machine: ProgramMachine, format_term: Term) -> bool:
     """Write formatted text without arguments."""
     return format_2(machine, format_term, NIL)
 
 
 @deterministic("format/2")
-def format_2(machine: Machine, format_term: Term, arguments: Term) -> bool:
+def format_2(machine: ProgramMachine, format_term: Term, arguments: Term) -> bool:
     """Write formatted text."""
     logic = machine.logic
     formatter = Formatter(machine, logic.column)
@@ -396,7 +396,7 @@ def format_2(machine: Machine, format_term: Term, arguments: Term) -> bool:
 
 
 @deterministic("format/3")
-def format_3(machine: Machine, sink: Term, format_term: Term, arguments: Term) -> bool:
+def format_3(machine: ProgramMachine, sink: Term, format_term: Term, arguments: Term) -> bool:
     """Write formatted text to a stream, or unify it with an output specification such as ``atom(A)``."""
     sink = deref(sink)
     if is_sink(sink):
@@ -410,13 +410,13 @@ def format_3(machine: Machine, sink: Term, format_term: Term, arguments: Term) -
 
 
 @deterministic("sformat/3")
-def sformat(machine: Machine, text: Term, format_term: Term, arguments: Term) -> bool:
+def sformat(machine: ProgramMachine, text: Term, format_term: Term, arguments: Term) -> bool:
     """Unify with formatted text as a string."""
     return unify(text, make_text("string", format_to_text(machine, format_term, arguments)), machine.trail)
 
 
 @deterministic("sformat/2")
-def sformat_2(machine: Machine, text: Term, format_term: Term) -> bool:
+def sformat_2(machine: ProgramMachine, text: Term, format_term: Term) -> bool:
     """Unify with formatted text without arguments as a string."""
     return sformat(machine, text, format_term, NIL)
 
@@ -425,7 +425,7 @@ def sformat_2(machine: Machine, text: Term, format_term: Term) -> bool:
 
 
 @control("with_output_to/2")
-def with_output_to(machine: Machine, args: Values, continuation: Frame) -> Optional[Frame]:
+def with_output_to(machine: ProgramMachine, args: Values, continuation: Frame) -> Optional[Frame]:
     """Run a goal once, and unify its output with an output specification such as ``atom(A)``."""
     sink = deref(args[0])
     if sink.__class__ is Var:
@@ -445,7 +445,7 @@ def _end_capture(entry: Frame) -> None:
 
 
 def _unify_captured(frame: Frame) -> Optional[Frame]:
-    machine: Machine
+    machine: ProgramMachine
     continuation: Frame
     _, machine, height, sink, captured, continuation = frame
     _end_capture(machine.choices[height])
@@ -465,14 +465,14 @@ def _parse_code(code: Term) -> str:
 
 
 @deterministic("put_code/1")
-def put_code(machine: Machine, code: Term) -> bool:
+def put_code(machine: ProgramMachine, code: Term) -> bool:
     """Write a character by its code."""
     machine.logic.write(_parse_code(code))
     return True
 
 
 @deterministic("put_code/2")
-def put_code_to(machine: Machine, stream: Term, code: Term) -> bool:
+def put_code_to(machine: ProgramMachine, stream: Term, code: Term) -> bool:
     """Write a character by its code to a stream."""
     write_to(machine, stream, _parse_code(code))
     return True
@@ -492,12 +492,12 @@ def _put_byte(stream: Union[OutputStream, OutputCapture, str, None], stream_term
 
 
 @deterministic("put_byte/1")
-def put_byte(machine: Machine, byte: Term) -> bool:
+def put_byte(machine: ProgramMachine, byte: Term) -> bool:
     """Write a byte to the current output, which has to be a binary file."""
     return _put_byte(streams_of(machine).output, atom("current_output"), byte)
 
 
 @deterministic("put_byte/2")
-def put_byte_to(machine: Machine, stream: Term, byte: Term) -> bool:
+def put_byte_to(machine: ProgramMachine, stream: Term, byte: Term) -> bool:
     """Write a byte to a binary stream."""
     return _put_byte(streams_of(machine).find_output(stream), stream, byte)

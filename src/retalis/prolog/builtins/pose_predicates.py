@@ -11,10 +11,9 @@ from math import acos, sin, sqrt
 from typing import List, Optional, Sequence, Tuple
 
 from ..machine.errors import domain_error, instantiation_error, type_error
-from ..machine.machine import Machine
 from ..terms.list_terms import list_items, make_list
 from ..terms.types import CONS, NIL, Atom, Lazy, Term, Var, atom, deref
-from .builtin_registry import deterministic, function
+from .builtin_registry import ProgramMachine, deterministic, function
 
 Vector = Sequence[float]
 Pose = Tuple[Vector, Vector]
@@ -339,7 +338,7 @@ def convert_to_mat(position: Term, rotation: Term) -> Term:
 
 
 @deterministic("print_matrix/1")
-def print_matrix(machine: Machine, term: Term) -> bool:
+def print_matrix(machine: ProgramMachine, term: Term) -> bool:
     """Print a matrix, one row per line."""
     rows = parse_transform(term)
     machine.logic.output("".join(" ".join(f"{value:12.6f}" for value in row) + "\n" for row in rows))

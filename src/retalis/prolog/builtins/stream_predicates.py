@@ -16,11 +16,10 @@ from ..machine.errors import (
     type_error,
     uninstantiation_error,
 )
-from ..machine.machine import Machine
 from ..terms.types import Atom, CompoundTerm, String, Term, Var, atom, deref
 from ..terms.unification import unify
 from .argument_checks import atom_of, natural, option_values
-from .builtin_registry import deterministic
+from .builtin_registry import ProgramMachine, deterministic
 from .output_predicates import character_of
 from .text_arguments import MAX_CODE, end_of_file, flags_of, unify_options
 from .text_streams import InputStream, OutputStream, flush_standard_streams, streams_of, syntax_error_in
@@ -32,18 +31,18 @@ _END_OF_FILE = atom("end_of_file")
 
 
 @deterministic("open/3")
-def open_stream(machine: Machine, name: Term, mode: Term, stream: Term) -> bool:
+def open_stream(machine: ProgramMachine, name: Term, mode: Term, stream: Term) -> bool:
     """Open a file for reading, writing or appending."""
     return _open(machine, name, mode, stream, [])
 
 
 @deterministic("open/4")
-def open_with(machine: Machine, name: Term, mode: Term, stream: Term, options: Term) -> bool:
+def open_with(machine: ProgramMachine, name: Term, mode: Term, stream: Term, options: Term) -> bool:
     """Open a file with the options ``alias``, ``type``, ``encoding`` and ``eof_action``; others are ignored."""
     return _open(machine, name, mode, stream, option_values(options))
 
 
-def _open(machine: Machine, name: Term, mode: Term, stream: Term, options: List[Term]) -> bool:
+def _open(machine: ProgramMachine, name: Term, mode: Term, stream: Term, options: List[Term]) -> bool:
     stream_mode, values = _parse_mode(mode), dict(_OPEN_OPTIONS)
     if deref(name).__class__ is Var:
         raise instantiation_error()
@@ -94,7 +93,7 @@ _PYTHON_ENCODINGS = {"octet": "latin-1", "iso_latin_1": "latin-1", "ascii": "lat
 
 
 @deterministic("close/1")
-def close(machine: Machine, stream: Term) -> bool:
+def close(machine: ProgramMachine, stream: Term) -> bool:
     """Close a stream; standard streams stay open."""
     streams = streams_of(machine)
     open_stream = streams.find(stream)
@@ -105,7 +104,7 @@ def close(machine: Machine, stream: Term) -> bool:
 
 
 @deterministic("close/2")
-def close_with(machine: Machine, stream: Term, options: Term) -> bool:
+def close_with(machine: ProgramMachine, stream: Term, options: Term) -> bool:
     """Close a stream; the option ``force`` has no effect."""
     for option in option_values(options):
         if not isinstance(option, tuple) or option[0].name != "force":
@@ -114,7 +113,7 @@ def close_with(machine: Machine, stream: Term, options: Term) -> bool:
 
 
 @deterministic("set_input/1")
-def set_input(machine: Machine, stream: Term) -> bool:
+def set_input(machine: ProgramMachine, stream: Term) -> bool:
     """Set the current input."""
     streams = streams_of(machine)
     streams.input = streams.find_input(stream)
@@ -122,7 +121,7 @@ def set_input(machine: Machine, stream: Term) -> bool:
 
 
 @deterministic("set_output/1")
-def set_output(machine: Machine, stream: Term) -> bool:
+def set_output(machine: ProgramMachine, stream: Term) -> bool:
     """Set the current output."""
     streams = streams_of(machine)
     streams.set_output(streams.find_output(stream))
@@ -130,24 +129,24 @@ def set_output(machine: Machine, stream: Term) -> bool:
 
 
 @deterministic("see/1")
-def see(machine: Machine, name: Term) -> bool:
+def see(machine: ProgramMachine, name: Term) -> bool:
     """Set the current input to a stream or a file."""
     return set_input(machine, _open_by_name(machine, name, "read"))
 
 
 @deterministic("tell/1")
-def tell(machine: Machine, name: Term) -> bool:
+def tell(machine: ProgramMachine, name: Term) -> bool:
     """Set the current output to a stream or a file."""
     return set_output(machine, _open_by_name(machine, name, "write"))
 
 
 @deterministic("append/1")
-def append(machine: Machine, name: Term) -> bool:
+def append(machine: ProgramMachine, name: Term) -> bool:
     """Set the current output to a file, to which text is appended."""
     return set_output(machine, _open_by_name(machine, name, "append"))
 
 
-def _open_by_name(machine: Machine, name: Term, mode: str) -> Term:
+def _open_by_name(machine: ProgramMachine, name: Term, mode: str) -> Term:
     """Return a stream term for a stream term, an alias, or the name of a file, which is opened if necessary."""
     streams, name = streams_of(machine), deref(name)
     if isinstance(name, tuple) and name[0].name == "$stream":
@@ -169,7 +168,7 @@ def _open_by_name(machine: Machine, name: Term, mode: str) -> Term:
 
 
 @deterministic("seen/0")
-def seen(machine: Machine) -> bool:
+def seen(machine: ProgramMachine) -> bool:
     """Close the current input, and set it to the user's."""
     streams = streams_of(machine)
     if streams.input is not streams.user_input:
@@ -178,7 +177,7 @@ def seen(machine: Machine) -> bool:
 
 
 @deterministic("told/0")
-def told(machine: Machine) -> bool:
+def told(machine: ProgramMachine) -> bool:
     """Close the current output, and set it to the user's."""
     streams = streams_of(machine)
     if streams.output is not None:
@@ -186,7 +185,7 @@ def told(machine: Machine) -> bool:
     return True
 
 
-def _require_stream(machine: Machine, stream: Term) -> None:
+def _require_stream(machine: ProgramMachine, stream: Term) -> None:
     """Check that a term is an open stream or a variable.
 
     Raises:
@@ -197,14 +196,14 @@ def _require_stream(machine: Machine, stream: Term) -> None:
 
 
 @deterministic("current_input/1", "seeing/1")
-def current_input(machine: Machine, stream: Term) -> bool:
+def current_input(machine: ProgramMachine, stream: Term) -> bool:
     """Unify with the current input."""
     _require_stream(machine, stream)
     return unify(stream, streams_of(machine).input.stream_term, machine.trail)
 
 
 @deterministic("current_output/1", "telling/1")
-def current_output(machine: Machine, stream: Term) -> bool:
+def current_output(machine: ProgramMachine, stream: Term) -> bool:
     """Unify with the current output."""
     _require_stream(machine, stream)
     streams = streams_of(machine)
@@ -212,7 +211,7 @@ def current_output(machine: Machine, stream: Term) -> bool:
 
 
 @deterministic("flush_output/1")
-def flush_output_of(machine: Machine, stream: Term) -> bool:
+def flush_output_of(machine: ProgramMachine, stream: Term) -> bool:
     """Write the buffered text of a stream to its file."""
     open_stream = streams_of(machine).find_output(stream)
     if isinstance(open_stream, OutputStream):
@@ -223,7 +222,7 @@ def flush_output_of(machine: Machine, stream: Term) -> bool:
 
 
 @deterministic("set_stream/2")
-def set_stream(machine: Machine, stream: Term, setting: Term) -> bool:
+def set_stream(machine: ProgramMachine, stream: Term, setting: Term) -> bool:
     """Set a property of a stream; properties other than ``alias`` are ignored."""
     streams, property_term = streams_of(machine), deref(setting)
     open_stream = streams.find(stream)
@@ -242,7 +241,7 @@ def set_stream(machine: Machine, stream: Term, setting: Term) -> bool:
 # Terms
 
 
-def _read(machine: Machine, stream: Optional[Term], options: List[CompoundTerm], term: Term) -> bool:
+def _read(machine: ProgramMachine, stream: Optional[Term], options: List[CompoundTerm], term: Term) -> bool:
     source = streams_of(machine).find_input(stream)
     result = source.read_term(machine.logic.operators, flags_of(machine, options))
     # The reader has skipped the invalid term, so the next read continues after it.
@@ -254,25 +253,25 @@ def _read(machine: Machine, stream: Optional[Term], options: List[CompoundTerm],
 
 
 @deterministic("read/1")
-def read(machine: Machine, term: Term) -> bool:
+def read(machine: ProgramMachine, term: Term) -> bool:
     """Read a term from the current input."""
     return _read(machine, None, [], term)
 
 
 @deterministic("read/2")
-def read_from(machine: Machine, stream: Term, term: Term) -> bool:
+def read_from(machine: ProgramMachine, stream: Term, term: Term) -> bool:
     """Read a term from a stream."""
     return _read(machine, stream, [], term)
 
 
 @deterministic("read_term/2")
-def read_term(machine: Machine, term: Term, options: Term) -> bool:
+def read_term(machine: ProgramMachine, term: Term, options: Term) -> bool:
     """Read a term from the current input with options."""
     return _read(machine, None, _compound_options(options), term)
 
 
 @deterministic("read_term/3")
-def read_term_from(machine: Machine, stream: Term, term: Term, options: Term) -> bool:
+def read_term_from(machine: ProgramMachine, stream: Term, term: Term, options: Term) -> bool:
     """Read a term from a stream with options."""
     requested = _compound_options(options)
     return _read(machine, stream, requested, term)
@@ -299,18 +298,18 @@ def _define_reader(
     """
     stream_type = "binary" if name.endswith("byte") else "text"
 
-    def read_character(machine: Machine, source: InputStream, value: Term) -> bool:
+    def read_character(machine: ProgramMachine, source: InputStream, value: Term) -> bool:
         # Checked before a character is consumed, so that an error loses no input.
         check_output(deref(value))
         _require_type(source, stream_type)
         return unify(value, to_term(source.read_character(is_consumed)), machine.trail)
 
     @deterministic(f"{name}/1")
-    def one_argument(machine: Machine, value: Term) -> bool:
+    def one_argument(machine: ProgramMachine, value: Term) -> bool:
         return read_character(machine, streams_of(machine).input, value)
 
     @deterministic(f"{name}/2")
-    def two_arguments(machine: Machine, stream: Term, value: Term) -> bool:
+    def two_arguments(machine: ProgramMachine, stream: Term, value: Term) -> bool:
         return read_character(machine, streams_of(machine).find_input(stream), value)
 
 
@@ -363,20 +362,20 @@ for _name, _to_term, _check in (
 
 
 @deterministic("peek_string/3")
-def peek_string(machine: Machine, stream: Term, length: Term, text: Term) -> bool:
+def peek_string(machine: ProgramMachine, stream: Term, length: Term, text: Term) -> bool:
     """Unify with the next characters of a stream, without consuming them."""
     source, count = streams_of(machine).find_input(stream), natural(length)
     return unify(text, String(source.peek_text(count)), machine.trail)
 
 
 @deterministic("get0/1")
-def get_any(machine: Machine, code: Term) -> bool:
+def get_any(machine: ProgramMachine, code: Term) -> bool:
     """Read the code of a character."""
     return unify(code, _to_code(streams_of(machine).input.read_character(True)), machine.trail)
 
 
 @deterministic("get/1")
-def get_visible(machine: Machine, code: Term) -> bool:
+def get_visible(machine: ProgramMachine, code: Term) -> bool:
     """Read the code of the next character that is not white space."""
     source = streams_of(machine).input
     char = source.read_character(True)
@@ -386,18 +385,18 @@ def get_visible(machine: Machine, code: Term) -> bool:
 
 
 @deterministic("skip/1")
-def skip(machine: Machine, character: Term) -> bool:
+def skip(machine: ProgramMachine, character: Term) -> bool:
     """Read up to and including a character."""
     return _skip(machine, None, character)
 
 
 @deterministic("skip/2")
-def skip_in(machine: Machine, stream: Term, character: Term) -> bool:
+def skip_in(machine: ProgramMachine, stream: Term, character: Term) -> bool:
     """Read up to and including a character of a stream."""
     return _skip(machine, stream, character)
 
 
-def _skip(machine: Machine, stream: Optional[Term], character: Term) -> bool:
+def _skip(machine: ProgramMachine, stream: Optional[Term], character: Term) -> bool:
     source, stop = streams_of(machine).find_input(stream), character_of(machine, character)
     steps = 0
     while source.read_character(True) not in (stop, ""):
@@ -409,12 +408,12 @@ def _skip(machine: Machine, stream: Optional[Term], character: Term) -> bool:
 
 
 @deterministic("at_end_of_stream/0")
-def at_end(machine: Machine) -> bool:
+def at_end(machine: ProgramMachine) -> bool:
     """Test for the end of the current input."""
     return not streams_of(machine).input.read_character(False)
 
 
 @deterministic("at_end_of_stream/1")
-def at_end_of(machine: Machine, stream: Term) -> bool:
+def at_end_of(machine: ProgramMachine, stream: Term) -> bool:
     """Test for the end of a stream."""
     return not streams_of(machine).find_input(stream).read_character(False)

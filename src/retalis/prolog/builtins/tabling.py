@@ -32,12 +32,13 @@ from typing import Any, Callable, Dict, Hashable, List, NamedTuple, Optional, Se
 from ..compiler.clause_nodes import ARROW, SEMICOLON
 from ..database.predicate import Predicate
 from ..machine.errors import domain_error, instantiation_error, type_error, uninstantiation_error
-from ..machine.machine import Code, Guard, Machine
+from ..machine.machine import Code, Guard
 from ..terms.list_terms import conjunction
 from ..terms.term_traversal import SELF_KEYED, copy, has_no_variables, term_key, variables
 from ..terms.types import SLASH, Atom, CompoundTerm, Frame, Functor, Term, Values, Var, atom, deref, functor
 from ..terms.unification import compare, unify
 from .argument_checks import natural
+from .builtin_registry import ProgramMachine
 
 _EQUAL = functor("=", 2)
 _LATTICE, _ORDER = functor("lattice", 1), functor("po", 1)
@@ -265,7 +266,7 @@ class StoredTable(NamedTuple):
 class Tables:
     """All tables of a program, with the stack of those that are being evaluated."""
 
-    def __init__(self, machine: Machine):
+    def __init__(self, machine: ProgramMachine):
         self.machine = machine
         self.by_call: Dict[Hashable, Table] = {}
         self.declarations_by_functor: Dict[Functor, Term] = {}
@@ -739,7 +740,7 @@ def _renamed_arguments(key: Sequence[Optional[Term]], variables: List[Var]) -> L
     return [next(unused_vars) if term is None else term for term in key[1:]]
 
 
-def tables_of(machine: Machine) -> Tables:
+def tables_of(machine: ProgramMachine) -> Tables:
     """Return the tables of a machine's program."""
     tables: Optional[Tables] = machine.logic.state.get("tables")
     if tables is None:

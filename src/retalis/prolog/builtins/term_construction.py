@@ -11,13 +11,13 @@ from zlib import crc32
 from ...foundation.cancellation import STEPS_PER_ROUND, check_limits, with_limit_checks
 from ..machine.arithmetic import evaluate
 from ..machine.errors import domain_error, instantiation_error, permission_error, resource_error, type_error
-from ..machine.machine import LAST, Machine
+from ..machine.machine import LAST
 from ..terms.list_terms import make_list
 from ..terms.term_traversal import copy, is_ground, resolve, variables
 from ..terms.types import NIL, Atom, CompoundTerm, Term, Var, atom, deref, functor
 from ..terms.unification import unify
 from .argument_checks import atom_of, check_tail, integer, is_iso, items, natural, partial_items
-from .builtin_registry import Outcome, Solutions, deterministic, function, nondeterministic
+from .builtin_registry import Outcome, ProgramMachine, Solutions, deterministic, function, nondeterministic
 from .text_arguments import atomic_text, require_no_compound
 
 _MAX_ARGUMENTS = 1_000_000
@@ -28,7 +28,7 @@ _ARGUMENT_BYTES = 64
 
 
 @deterministic("functor/3")
-def functor_of(machine: Machine, term: Term, name: Term, arity: Term) -> bool:
+def functor_of(machine: ProgramMachine, term: Term, name: Term, arity: Term) -> bool:
     """Relate a term with its name and arity."""
     term = deref(term)
     trail = machine.trail
@@ -79,7 +79,7 @@ def _make_compound(name: Atom, args: Sequence[Term]) -> Term:
 
 
 @nondeterministic("arg/3")
-def arg(machine: Machine, number: Term, term: Term, value: Term) -> Outcome:
+def arg(machine: ProgramMachine, number: Term, term: Term, value: Term) -> Outcome:
     """Relate a compound term with its arguments."""
     number, term = deref(number), deref(term)
     if term.__class__ is not tuple:
@@ -92,7 +92,7 @@ def arg(machine: Machine, number: Term, term: Term, value: Term) -> Outcome:
     return 0 < index < len(term) and unify(value, term[index], machine.trail)
 
 
-def _enumerate_arguments(machine: Machine, number: Term, term: CompoundTerm, value: Term) -> Solutions:
+def _enumerate_arguments(machine: ProgramMachine, number: Term, term: CompoundTerm, value: Term) -> Solutions:
     last = len(term) - 1
     for index in range(1, len(term)):
         if machine.unify_all((number, index), (value, term[index])):
@@ -112,7 +112,7 @@ def get_argument(number: Term, term: Term) -> Optional[Term]:
 
 
 @deterministic("=../2")
-def univ(machine: Machine, term: Term, parts: Term) -> bool:
+def univ(machine: ProgramMachine, term: Term, parts: Term) -> bool:
     """Relate a term with the list of its name and arguments."""
     term = deref(term)
     # ISO 13211-1 requires the check of the list even if the term is known.
@@ -149,13 +149,13 @@ def _term_of_list(list_term: Term) -> Term:
 
 
 @deterministic("copy_term/2", "duplicate_term/2", "copy_term_nat/2")
-def copy_term(machine: Machine, term: Term, result: Term) -> bool:
+def copy_term(machine: ProgramMachine, term: Term, result: Term) -> bool:
     """Copy a term with new variables."""
     return unify(result, copy(term), machine.trail)
 
 
 @deterministic("compound_name_arity/3")
-def compound_name_arity(machine: Machine, term: Term, name: Term, arity: Term) -> bool:
+def compound_name_arity(machine: ProgramMachine, term: Term, name: Term, arity: Term) -> bool:
     """Relate a compound term, possibly without arguments, with its name and arity."""
     term = deref(term)
     if term.__class__ is tuple:
@@ -173,7 +173,7 @@ def compound_name_arity(machine: Machine, term: Term, name: Term, arity: Term) -
 
 
 @deterministic("compound_name_arguments/3")
-def compound_name_arguments(machine: Machine, term: Term, name: Term, arguments: Term) -> bool:
+def compound_name_arguments(machine: ProgramMachine, term: Term, name: Term, arguments: Term) -> bool:
     """Relate a compound term with its name and list of arguments."""
     term = deref(term)
     if term.__class__ is tuple:
@@ -193,7 +193,7 @@ def compound_name_arguments(machine: Machine, term: Term, name: Term, arguments:
 
 
 @deterministic("setarg/3", "nb_setarg/3")
-def setarg(machine: Machine, number: Term, term: Term, value: Term) -> bool:
+def setarg(machine: ProgramMachine, number: Term, term: Term, value: Term) -> bool:
     """Raise a permission error: terms are immutable."""
     # Destructive assignment would change ground terms that clauses and goals share.
     raise permission_error("modify", "term", resolve(term))
@@ -203,7 +203,7 @@ _NUMBERED_VAR = functor("$VAR", 1)
 
 
 @deterministic("numbervars/3")
-def numbervars(machine: Machine, term: Term, start: Term, end: Term) -> bool:
+def numbervars(machine: ProgramMachine, term: Term, start: Term, end: Term) -> bool:
     """Bind the variables of a term to ``'$VAR'(N)`` with increasing numbers."""
     number = integer(start)
     # Variables are numbered in the order of their first occurrence.
@@ -214,13 +214,13 @@ def numbervars(machine: Machine, term: Term, start: Term, end: Term) -> bool:
 
 
 @deterministic("numbervars/1")
-def numbervars_from_zero(machine: Machine, term: Term) -> bool:
+def numbervars_from_zero(machine: ProgramMachine, term: Term) -> bool:
     """Bind the variables of a term to ``'$VAR'(N)`` with increasing numbers from 0."""
     return numbervars(machine, term, 0, Var())
 
 
 @deterministic("term_variables/2")
-def term_variables(machine: Machine, term: Term, result: Term) -> bool:
+def term_variables(machine: ProgramMachine, term: Term, result: Term) -> bool:
     """Unify with the variables of a term, in the order of their first occurrence."""
     if is_iso(machine):
         partial_items(result)
@@ -228,13 +228,13 @@ def term_variables(machine: Machine, term: Term, result: Term) -> bool:
 
 
 @deterministic("term_variables/3")
-def term_variables_with_tail(machine: Machine, term: Term, result: Term, tail: Term) -> bool:
+def term_variables_with_tail(machine: ProgramMachine, term: Term, result: Term, tail: Term) -> bool:
     """Unify with a partial list of the variables of a term."""
     return unify(result, make_list(variables(term), tail), machine.trail)
 
 
 @deterministic("term_hash/2")
-def term_hash(machine: Machine, term: Term, value: Term) -> bool:
+def term_hash(machine: ProgramMachine, term: Term, value: Term) -> bool:
     """Unify with a hash of a ground term, which is the same in each process; for other terms, do nothing."""
     if not is_ground(term):
         return True
@@ -242,13 +242,13 @@ def term_hash(machine: Machine, term: Term, value: Term) -> bool:
     return unify(value, crc32(machine.logic.show(term).encode()) & 0xFFFFFF, machine.trail)
 
 
-def _symbol_counters(machine: Machine) -> Dict[str, int]:
+def _symbol_counters(machine: ProgramMachine) -> Dict[str, int]:
     counters: Dict[str, int] = machine.logic.state.setdefault("gensym", {})
     return counters
 
 
 @deterministic("gensym/2")
-def gensym(machine: Machine, base: Term, result: Term) -> bool:
+def gensym(machine: ProgramMachine, base: Term, result: Term) -> bool:
     """Unify with a new atom that consists of a base and a number."""
     name = atomic_text(base)
     require_no_compound(result, "atomic")
@@ -259,21 +259,21 @@ def gensym(machine: Machine, base: Term, result: Term) -> bool:
 
 
 @deterministic("reset_gensym/1")
-def reset_gensym(machine: Machine, base: Term) -> bool:
+def reset_gensym(machine: ProgramMachine, base: Term) -> bool:
     """Restart the numbers of a base."""
     _symbol_counters(machine).pop(atomic_text(base), None)
     return True
 
 
 @deterministic("reset_gensym/0")
-def reset_all_gensym(machine: Machine) -> bool:
+def reset_all_gensym(machine: ProgramMachine) -> bool:
     """Restart the numbers of all bases."""
     _symbol_counters(machine).clear()
     return True
 
 
 @deterministic("flag/3")
-def flag(machine: Machine, name: Term, old: Term, new: Term) -> bool:
+def flag(machine: ProgramMachine, name: Term, old: Term, new: Term) -> bool:
     """Unify with the value of a counter, and set it to the value of an expression."""
     values = machine.logic.state.setdefault("flag", {})
     key = atomic_text(name)
@@ -284,7 +284,7 @@ def flag(machine: Machine, name: Term, old: Term, new: Term) -> bool:
 
 
 @nondeterministic("nb_current/2")
-def nb_current(machine: Machine, name: Term, value: Term) -> Solutions:
+def nb_current(machine: ProgramMachine, name: Term, value: Term) -> Solutions:
     """Enumerate the global variables."""
     values = machine.logic.globals
     name_term = deref(name)

@@ -27,7 +27,6 @@ from ..machine.errors import (
     type_error,
     uninstantiation_error,
 )
-from ..machine.machine import Machine
 from ..terms.list_terms import list_items, list_parts
 from ..terms.term_traversal import (
     CYCLE_CHECK_STEP,
@@ -57,20 +56,20 @@ from ..terms.types import (
 )
 from ..terms.unification import always_different, compare, compare_by_age, undo, unify
 from .argument_checks import integer, integer_or_var, items, natural
-from .builtin_registry import control, deterministic
+from .builtin_registry import ProgramMachine, control, deterministic
 from .text_arguments import is_text_list
 
 _ORDER_ATOMS = {-1: atom("<"), 0: atom("="), 1: atom(">")}
 
 
 @deterministic("=/2")
-def unify_terms(machine: Machine, left: Term, right: Term) -> bool:
+def unify_terms(machine: ProgramMachine, left: Term, right: Term) -> bool:
     """Unify two terms."""
     return unify(left, right, machine.trail)
 
 
 @deterministic("\\=/2")
-def is_not_unifiable(machine: Machine, left: Term, right: Term) -> bool:
+def is_not_unifiable(machine: ProgramMachine, left: Term, right: Term) -> bool:
     """Test that two terms do not unify."""
     mark = len(machine.trail)
     unifies = unify(left, right, machine.trail)
@@ -79,7 +78,7 @@ def is_not_unifiable(machine: Machine, left: Term, right: Term) -> bool:
 
 
 @deterministic("unify_with_occurs_check/2")
-def unify_with_occurs_check(machine: Machine, left: Term, right: Term) -> bool:
+def unify_with_occurs_check(machine: ProgramMachine, left: Term, right: Term) -> bool:
     """Unify two terms, but fail if that would create a cyclic term."""
     trail = machine.trail
     mark = len(trail)
@@ -113,7 +112,7 @@ def _occurs_in_binding(var: Any) -> bool:
 
 @deterministic("compare/3")
 def compare_terms(
-    machine: Machine,
+    machine: ProgramMachine,
     order: Term,
     left: Term,
     right: Term,
@@ -130,25 +129,27 @@ def compare_terms(
     return unify(order, _ORDER_ATOMS[compare(left, right, compare_variables)], machine.trail)
 
 
-def _standard_order_test(test: str) -> Callable[[Machine, Term, Term], bool]:
+def _standard_order_test(test: str) -> Callable[[ProgramMachine, Term, Term], bool]:
     """Return a predicate that compares terms in the standard order; ``test`` is a condition such as "< 0"."""
     # For equality the age of variables is irrelevant, and `compare_by_age` assigns serial numbers to variables, which
     # costs memory.
     compare_variables = always_different if test in ("== 0", "!= 0") else compare_by_age
     lines = ["def generated(machine, left, right):", f"    return compare(left, right, variables) {test}"]
     names = {"compare": compare, "variables": compare_variables}
-    predicate: Callable[[Machine, Term, Term], bool] = codegen.function(lines, names, f"comparison {test}")
+    predicate: Callable[[ProgramMachine, Term, Term], bool] = codegen.function(
+        lines, names, f"comparison {test}"
+    )
     return predicate
 
 
-def _arithmetic_comparison(operator: str) -> Callable[[Machine, Term, Term], bool]:
+def _arithmetic_comparison(operator: str) -> Callable[[ProgramMachine, Term, Term], bool]:
     """Return a predicate that compares the values of two expressions."""
     lines = [
         "def generated(machine, left, right):",
         f"    return evaluate_exact(left) {operator} evaluate_exact(right)",
     ]
     names = {"evaluate_exact": evaluate_exact}
-    predicate: Callable[[Machine, Term, Term], bool] = codegen.function(
+    predicate: Callable[[ProgramMachine, Term, Term], bool] = codegen.function(
         lines, names, f"comparison {operator}"
     )
     return predicate
@@ -161,7 +162,7 @@ for _key, _test in COMPARISONS.items():
 
 
 @deterministic("is/2")
-def evaluate_is(machine: Machine, result: Term, expression: Term) -> bool:
+def evaluate_is(machine: ProgramMachine, result: Term, expression: Term) -> bool:
     """Evaluate an expression."""
     value = evaluate_exact(expression)
     # For timestamps, `evaluate_exact` returns numbers that carry an exact instant, which a program must not see.
@@ -171,7 +172,7 @@ def evaluate_is(machine: Machine, result: Term, expression: Term) -> bool:
 
 
 @deterministic("succ/2")
-def succ(machine: Machine, smaller: Term, greater: Term) -> bool:
+def succ(machine: ProgramMachine, smaller: Term, greater: Term) -> bool:
     """Relate a non-negative integer with its successor."""
     smaller = deref(smaller)
     if smaller.__class__ is Var:
@@ -187,7 +188,7 @@ def succ(machine: Machine, smaller: Term, greater: Term) -> bool:
 
 
 @deterministic("plus/3")
-def plus(machine: Machine, left: Term, right: Term, total: Term) -> bool:
+def plus(machine: ProgramMachine, left: Term, right: Term, total: Term) -> bool:
     """Relate two integers with their sum; one of the three may be unbound."""
     left, right, total = deref(left), deref(right), deref(total)
     # All arguments are checked first, so that a wrong type is reported even if another one is unbound.
@@ -202,7 +203,7 @@ def plus(machine: Machine, left: Term, right: Term, total: Term) -> bool:
 
 @deterministic("nth_integer_root_and_remainder/4")
 def nth_integer_root_and_remainder(
-    machine: Machine, degree: Term, power: Term, root: Term, remainder: Term
+    machine: ProgramMachine, degree: Term, power: Term, root: Term, remainder: Term
 ) -> bool:
     """Compute the integer root of a degree, truncated toward zero, and the remainder of its power."""
     exponent, value = integer(degree), integer(power)
@@ -215,10 +216,10 @@ def nth_integer_root_and_remainder(
     return machine.unify_all((root, result), (remainder, value - result**exponent))
 
 
-def _type_test(*classes: type) -> Callable[[Machine, Term], bool]:
+def _type_test(*classes: type) -> Callable[[ProgramMachine, Term], bool]:
     """Return a predicate that tests whether the class of a term is one of some classes."""
 
-    def test(machine: Machine, term: Term) -> bool:
+    def test(machine: ProgramMachine, term: Term) -> bool:
         return deref(term).__class__ in classes
 
     return test
@@ -237,19 +238,19 @@ deterministic("callable/1")(_type_test(Atom, tuple))
 
 
 @deterministic("blob/2")
-def blob(machine: Machine, term: Term, blob_type: Term) -> bool:
+def blob(machine: ProgramMachine, term: Term, blob_type: Term) -> bool:
     """Unify with the type of an atom, which is always ``text``."""
     return deref(term).__class__ is Atom and unify(blob_type, atom("text"), machine.trail)
 
 
 @deterministic("is_list/1")
-def is_list(machine: Machine, term: Term) -> bool:
+def is_list(machine: ProgramMachine, term: Term) -> bool:
     """Test for a proper list."""
     return list_parts(term)[1] is NIL
 
 
 @deterministic("ground/1")
-def ground(machine: Machine, term: Term) -> bool:
+def ground(machine: ProgramMachine, term: Term) -> bool:
     """Test for a term without variables."""
     return is_ground(term)
 
@@ -265,25 +266,25 @@ def is_acyclic(term: Term) -> bool:
 
 
 @deterministic("acyclic_term/1")
-def acyclic_term(machine: Machine, term: Term) -> bool:
+def acyclic_term(machine: ProgramMachine, term: Term) -> bool:
     """Test that a term is not cyclic."""
     return is_acyclic(term)
 
 
 @deterministic("cyclic_term/1")
-def cyclic_term(machine: Machine, term: Term) -> bool:
+def cyclic_term(machine: ProgramMachine, term: Term) -> bool:
     """Test that a term is cyclic."""
     return not acyclic_term(machine, term)
 
 
 @deterministic("?=/2")
-def is_decided(machine: Machine, left: Term, right: Term) -> bool:
+def is_decided(machine: ProgramMachine, left: Term, right: Term) -> bool:
     """Test that the result of ``==`` cannot change by further bindings."""
     return compare(left, right, always_different) == 0 or is_not_unifiable(machine, left, right)
 
 
 @deterministic("subsumes_term/2")
-def subsumes_term(machine: Machine, general: Term, specific: Term) -> bool:
+def subsumes_term(machine: ProgramMachine, general: Term, specific: Term) -> bool:
     """Test that two terms unify without binding variables of the second one."""
     trail = machine.trail
     mark = len(trail)
@@ -300,13 +301,13 @@ def subsumes_term(machine: Machine, general: Term, specific: Term) -> bool:
 
 
 @deterministic("=@=/2")
-def is_variant_of(machine: Machine, left: Term, right: Term) -> bool:
+def is_variant_of(machine: ProgramMachine, left: Term, right: Term) -> bool:
     """Test that two terms are equal up to renaming of variables."""
     return is_variant(left, right)
 
 
 @deterministic("\\=@=/2")
-def is_not_variant(machine: Machine, left: Term, right: Term) -> bool:
+def is_not_variant(machine: ProgramMachine, left: Term, right: Term) -> bool:
     """Test that two terms are not variants."""
     return not is_variant(left, right)
 
@@ -497,7 +498,7 @@ def type_error_of(type_term: Term, term: Term) -> PrologError:
 
 
 @deterministic("must_be/2", is_protected=False)
-def must_be(machine: Machine, type_term: Term, term: Term) -> bool:
+def must_be(machine: ProgramMachine, type_term: Term, term: Term) -> bool:
     """Raise an error unless a term has a type."""
     problem = find_type_error(type_term, term)
     if problem is not None:
@@ -506,7 +507,7 @@ def must_be(machine: Machine, type_term: Term, term: Term) -> bool:
 
 
 @deterministic("is_of_type/2", is_protected=False)
-def is_of_type(machine: Machine, type_term: Term, term: Term) -> bool:
+def is_of_type(machine: ProgramMachine, type_term: Term, term: Term) -> bool:
     """Test that a term has a type; fail for an unknown type."""
     type_term = deref(type_term)
     if type_term.__class__ is Var:
@@ -528,7 +529,7 @@ def _undecided_error(key: Functor) -> PrologError:
 
 
 @deterministic("dif/2")
-def dif(machine: Machine, left: Term, right: Term) -> bool:
+def dif(machine: ProgramMachine, left: Term, right: Term) -> bool:
     """Test that two terms can never be equal; raise an error if they could become equal."""
     trail = machine.trail
     mark = len(trail)
@@ -544,7 +545,7 @@ def dif(machine: Machine, left: Term, right: Term) -> bool:
 
 
 @control("freeze/2")
-def freeze(machine: Machine, args: Values, continuation: Frame) -> Optional[Frame]:
+def freeze(machine: ProgramMachine, args: Values, continuation: Frame) -> Optional[Frame]:
     """Call a goal if a term is bound; raise an error otherwise."""
     if deref(args[0]).__class__ is Var:
         raise _undecided_error(_FREEZE)
@@ -552,14 +553,14 @@ def freeze(machine: Machine, args: Values, continuation: Frame) -> Optional[Fram
 
 
 @control("when/2")
-def when(machine: Machine, args: Values, continuation: Frame) -> Optional[Frame]:
+def when(machine: ProgramMachine, args: Values, continuation: Frame) -> Optional[Frame]:
     """Call a goal if a condition holds; raise an error otherwise."""
     if not _is_when_condition_true(machine, args[0]):
         raise _undecided_error(_WHEN)
     return machine.logic.control.call(args[1], continuation)
 
 
-def _is_when_condition_true(machine: Machine, condition: Term) -> bool:
+def _is_when_condition_true(machine: ProgramMachine, condition: Term) -> bool:
     """Return whether a condition of ``when/2`` holds, without recursion into nested conditions."""
     # Connective and right operand of the conjunctions and disjunctions whose left operand is being evaluated.
     pending: List[Tuple[Functor, Term]] = []
@@ -583,7 +584,7 @@ def _is_when_condition_true(machine: Machine, condition: Term) -> bool:
     raise TermTooLarge
 
 
-def _is_simple_condition_true(machine: Machine, condition: Term) -> bool:
+def _is_simple_condition_true(machine: ProgramMachine, condition: Term) -> bool:
     if condition.__class__ is Var:
         raise instantiation_error()
     if condition.__class__ is not tuple:
@@ -600,7 +601,7 @@ def _is_simple_condition_true(machine: Machine, condition: Term) -> bool:
     raise domain_error("when_condition", condition)
 
 
-def _unifies_without_binding(machine: Machine, left: Term, right: Term) -> bool:
+def _unifies_without_binding(machine: ProgramMachine, left: Term, right: Term) -> bool:
     """Return whether two terms unify without a binding, which means that they are equal."""
     trail = machine.trail
     mark = len(trail)

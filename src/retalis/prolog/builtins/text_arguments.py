@@ -20,7 +20,6 @@ from ..machine.errors import (
     syntax_error,
     type_error,
 )
-from ..machine.machine import Machine
 from ..syntax.operators import Operators
 from ..syntax.term_reader import ReadTerm, read_term
 from ..syntax.term_writer import write_term
@@ -30,7 +29,7 @@ from ..terms.term_traversal import variables
 from ..terms.types import NIL, Atom, CompoundTerm, String, Term, Var, atom, deref, functor
 from ..terms.unification import unify
 from .argument_checks import atom_of, is_iso, option_values, partial_items
-from .builtin_registry import deterministic
+from .builtin_registry import ProgramMachine, deterministic
 
 if TYPE_CHECKING:
     from typing_extensions import TypeGuard
@@ -186,7 +185,7 @@ def first_item_error(items: List[Term]) -> Optional[PrologError]:
     return None
 
 
-def text_of_list(machine: Machine, term: Term, as_codes: bool) -> str:
+def text_of_list(machine: ProgramMachine, term: Term, as_codes: bool) -> str:
     """Return the text of a list of character codes or characters, or of a string.
 
     Raises:
@@ -315,7 +314,7 @@ def is_sink(sink: Term) -> "TypeGuard[CompoundTerm]":
     )
 
 
-def fill_sink(machine: Machine, sink: CompoundTerm, text: str) -> bool:
+def fill_sink(machine: ProgramMachine, sink: CompoundTerm, text: str) -> bool:
     """Unify the argument of an output specification with a text."""
     value = make_text(sink[0].name, text)
     # A third argument makes the result a difference list.
@@ -334,7 +333,7 @@ _QUOTES = {
 """Values of the flags for quoted text."""
 
 
-def read_flags(machine: Machine) -> ReadFlags:
+def read_flags(machine: ProgramMachine) -> ReadFlags:
     """Return the reader flags of a machine's program."""
     flags = machine.logic.flags
     return ReadFlags(
@@ -344,7 +343,7 @@ def read_flags(machine: Machine) -> ReadFlags:
     )
 
 
-def parse(machine: Machine, text: str) -> Term:
+def parse(machine: ProgramMachine, text: str) -> Term:
     """Return the term that a text denotes.
 
     Raises:
@@ -353,7 +352,7 @@ def parse(machine: Machine, text: str) -> Term:
     return read(machine, text).term
 
 
-def read(machine: Machine, text: str, flags: Optional[ReadFlags] = None) -> ReadTerm:
+def read(machine: ProgramMachine, text: str, flags: Optional[ReadFlags] = None) -> ReadTerm:
     """Return the `ReadTerm` of a text; an empty text denotes ``end_of_file``."""
     flags = read_flags(machine) if flags is None else flags
     try:
@@ -368,13 +367,13 @@ def read(machine: Machine, text: str, flags: Optional[ReadFlags] = None) -> Read
         ) from fault
 
 
-def end_of_file(machine: Machine) -> ReadTerm:
+def end_of_file(machine: ProgramMachine) -> ReadTerm:
     """Return the `ReadTerm` of the end of a text, ``end_of_file``."""
     return read(machine, "")
 
 
 @deterministic("atom_to_term/3")
-def atom_to_term(machine: Machine, text: Term, term: Term, bindings: Term) -> bool:
+def atom_to_term(machine: ProgramMachine, text: Term, term: Term, bindings: Term) -> bool:
     """Read a term and the names of its variables from a text."""
     if deref(text).__class__ is Var:
         raise instantiation_error()
@@ -386,12 +385,12 @@ def atom_to_term(machine: Machine, text: Term, term: Term, bindings: Term) -> bo
 
 
 @deterministic("read_term_from_atom/3")
-def read_term_from_atom(machine: Machine, text: Term, term: Term, options: Term) -> bool:
+def read_term_from_atom(machine: ProgramMachine, text: Term, term: Term, options: Term) -> bool:
     """Read a term from a text, with the options of ``read_term/2``."""
     return read_with_options(machine, text_of(text, numbers=False), term, options)
 
 
-def read_with_options(machine: Machine, source_text: str, term: Term, options: Term) -> bool:
+def read_with_options(machine: ProgramMachine, source_text: str, term: Term, options: Term) -> bool:
     """Unify a term with the one that a text denotes, and the output options of ``read_term/2`` with their values."""
     requested: List[CompoundTerm] = []
     for option in option_values(options):
@@ -402,7 +401,7 @@ def read_with_options(machine: Machine, source_text: str, term: Term, options: T
     return unify(term, result.term, machine.trail) and unify_options(machine, result, requested)
 
 
-def flags_of(machine: Machine, options: List[CompoundTerm]) -> ReadFlags:
+def flags_of(machine: ProgramMachine, options: List[CompoundTerm]) -> ReadFlags:
     """Return the reader flags of the options, with those of the program as defaults."""
     flags = read_flags(machine)
     # Options of a read take precedence over the flags of the program.
@@ -417,7 +416,7 @@ def flags_of(machine: Machine, options: List[CompoundTerm]) -> ReadFlags:
     return flags._replace(double_quotes=quotes["double_quotes"], back_quotes=quotes["back_quotes"])
 
 
-def unify_options(machine: Machine, result: ReadTerm, options: List[CompoundTerm]) -> bool:
+def unify_options(machine: ProgramMachine, result: ReadTerm, options: List[CompoundTerm]) -> bool:
     """Unify the arguments of the output options of ``read_term/2``."""
     for option in options:
         name = option[0].name

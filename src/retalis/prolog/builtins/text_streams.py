@@ -22,14 +22,13 @@ from ..machine.errors import (
     permission_error,
     resource_error,
 )
-from ..machine.machine import Machine
 from ..machine.resource_limits import Budget
 from ..syntax.operators import Operators
 from ..syntax.term_reader import Program, ReadTerm, read_program
 from ..syntax.tokenizer import ReadFlags
 from ..terms.types import Atom, CompoundTerm, Term, Var, atom, deref, functor
 from ..terms.unification import unify
-from .builtin_registry import Solutions, deterministic, nondeterministic
+from .builtin_registry import ProgramMachine, Solutions, deterministic, nondeterministic
 from .text_arguments import check_text_length
 
 if TYPE_CHECKING:
@@ -304,7 +303,7 @@ class OutputCapture:
     stream_type = "text"
     name = opening_name = ""
 
-    def __init__(self, machine: Machine):
+    def __init__(self, machine: ProgramMachine):
         logic = machine.logic
         self.texts: List[str] = []
         self.replaced_output = _ReplacedOutput(logic.output, logic.column)
@@ -341,7 +340,7 @@ class ProgramStreams:
         output: the stream that is the current output; None for the user's output or a capture.
     """
 
-    def __init__(self, machine: Machine):
+    def __init__(self, machine: ProgramMachine):
         self._machine = machine
         self._logic = machine.logic
         self.open_streams: Dict[int, OpenStream] = {}
@@ -581,7 +580,7 @@ def is_stream_term(term: Term) -> bool:
     return isinstance(term, tuple) and term[0] is _STREAM
 
 
-def streams_of(machine: Machine) -> ProgramStreams:
+def streams_of(machine: ProgramMachine) -> ProgramStreams:
     """Return the streams of a machine's program."""
     state = machine.logic.state
     streams: Optional[ProgramStreams] = state.get("streams")
@@ -617,7 +616,7 @@ _PROPERTIES_WITH_VALUE = (
 
 
 @deterministic("is_stream/1")
-def is_stream(machine: Machine, term: Term) -> bool:
+def is_stream(machine: ProgramMachine, term: Term) -> bool:
     """Test for an open stream, by its term or alias."""
     try:
         streams_of(machine).find(term)
@@ -627,7 +626,7 @@ def is_stream(machine: Machine, term: Term) -> bool:
 
 
 @nondeterministic("stream_property/2")
-def stream_property(machine: Machine, stream: Term, property_term: Term) -> Solutions:
+def stream_property(machine: ProgramMachine, stream: Term, property_term: Term) -> Solutions:
     """Enumerate the properties of open streams."""
     streams, stream = streams_of(machine), deref(stream)
     _require_property(deref(property_term))
@@ -719,7 +718,7 @@ def _position_term(stream: InputStream) -> CompoundTerm:
 
 
 @deterministic("set_stream_position/2")
-def set_stream_position(machine: Machine, stream: Term, position: Term) -> bool:
+def set_stream_position(machine: ProgramMachine, stream: Term, position: Term) -> bool:
     """Set the position of an input stream to one obtained from its property ``position``."""
     position = deref(position)
     if position.__class__ is Var or deref(stream).__class__ is Var:
@@ -734,13 +733,13 @@ def set_stream_position(machine: Machine, stream: Term, position: Term) -> bool:
 
 
 @deterministic("line_count/2")
-def line_count(machine: Machine, stream: Term, line: Term) -> bool:
+def line_count(machine: ProgramMachine, stream: Term, line: Term) -> bool:
     """Unify with the number of the current line of an input stream."""
     return unify(line, streams_of(machine).find_input(stream).line, machine.trail)
 
 
 @deterministic("line_position/2")
-def line_position(machine: Machine, stream: Term, column: Term) -> bool:
+def line_position(machine: ProgramMachine, stream: Term, column: Term) -> bool:
     """Unify with the number of characters read or written of the current line."""
     streams = streams_of(machine)
     open_stream = streams.find(stream)
@@ -752,6 +751,6 @@ def line_position(machine: Machine, stream: Term, column: Term) -> bool:
 
 
 @deterministic("character_count/2")
-def character_count(machine: Machine, stream: Term, count: Term) -> bool:
+def character_count(machine: ProgramMachine, stream: Term, count: Term) -> bool:
     """Unify with the number of characters read."""
     return unify(count, streams_of(machine).find_input(stream).position[0], machine.trail)

@@ -17,14 +17,14 @@ from typing import Any, Callable, Dict, List, Match, Tuple
 from ...foundation.errors import UsageError
 from ..machine.arithmetic import Number, check_result
 from ..machine.errors import domain_error, evaluation_error, instantiation_error, type_error
-from ..machine.machine import LAST, Machine
+from ..machine.machine import LAST
 from ..terms import timestamps
 from ..terms.list_terms import make_list
 from ..terms.timestamps import DATIME6, DATIME7, SECOND
 from ..terms.types import CONS, NIL, Atom, CompoundTerm, Lazy, Term, Var, atom, deref, functor
 from ..terms.unification import unify
 from .argument_checks import integer, number
-from .builtin_registry import Solutions, deterministic, function, nondeterministic
+from .builtin_registry import ProgramMachine, Solutions, deterministic, function, nondeterministic
 from .output_predicates import write_to
 from .text_arguments import fill_sink, is_sink, text_of
 
@@ -80,25 +80,25 @@ def weight_of_first(start: int, end: int, middle: int) -> Number:
 
 
 @deterministic("less_datime/2")
-def less_datime(machine: Machine, left: Term, right: Term) -> bool:
+def less_datime(machine: ProgramMachine, left: Term, right: Term) -> bool:
     """Test that a timestamp is earlier than another."""
     return instant_of(left) < instant_of(right)
 
 
 @deterministic("less_equal_datime/2")
-def less_equal_datime(machine: Machine, left: Term, right: Term) -> bool:
+def less_equal_datime(machine: ProgramMachine, left: Term, right: Term) -> bool:
     """Test that a timestamp is not later than another."""
     return instant_of(left) <= instant_of(right)
 
 
 @deterministic("equal_datime/2", "equal_datime_retalis/2")
-def equal_datime(machine: Machine, left: Term, right: Term) -> bool:
+def equal_datime(machine: ProgramMachine, left: Term, right: Term) -> bool:
     """Test that two timestamps denote the same instant."""
     return instant_of(left) == instant_of(right)
 
 
 @deterministic("between_datime/3")
-def between_datime(machine: Machine, middle: Term, low: Term, high: Term) -> bool:
+def between_datime(machine: ProgramMachine, middle: Term, low: Term, high: Term) -> bool:
     """Test that a timestamp is between two others: exclusively for datimes, inclusively for numbers."""
     instant, first, last = instant_of(middle), instant_of(low), instant_of(high)
     if _timestamp_arity(middle) or _timestamp_arity(low) or _timestamp_arity(high):
@@ -106,10 +106,10 @@ def between_datime(machine: Machine, middle: Term, low: Term, high: Term) -> boo
     return first <= instant <= last
 
 
-def _select_timestamp(selects_earlier: bool) -> Callable[[Machine, Term, Term, Term], bool]:
+def _select_timestamp(selects_earlier: bool) -> Callable[[ProgramMachine, Term, Term, Term], bool]:
     """Return a predicate that selects the earlier, or the later, of two timestamps."""
 
-    def run(machine: Machine, left: Term, right: Term, result: Term) -> bool:
+    def run(machine: ProgramMachine, left: Term, right: Term, result: Term) -> bool:
         left, right = deref(left), deref(right)
         # Numbers are compared as they are: the conversion to nanoseconds would round them.
         if isinstance(left, (int, float)) and isinstance(right, (int, float)):
@@ -126,14 +126,14 @@ deterministic("max/3", is_protected=False)(_select_timestamp(False))
 
 
 @deterministic("is_datime/1")
-def is_datime(machine: Machine, term: Term) -> bool:
+def is_datime(machine: ProgramMachine, term: Term) -> bool:
     """Test for a valid datime."""
     term = deref(term)
     return term.__class__ is tuple and term[0] in (DATIME6, DATIME7) and timestamps.is_instant(term)
 
 
 @deterministic("datime_minus_datime/3")
-def datime_minus_datime(machine: Machine, later: Term, earlier: Term, seconds: Term) -> bool:
+def datime_minus_datime(machine: ProgramMachine, later: Term, earlier: Term, seconds: Term) -> bool:
     """Unify with the seconds between two timestamps.
 
     The difference of two numbers is a number of their type; that of two ``datime/6`` is an integer if it has no
@@ -183,31 +183,31 @@ def _datime6_term(fields: Tuple[int, ...], is_float: bool) -> Term:
 
 
 @deterministic("datime_plus_sec/3")
-def datime_plus_sec(machine: Machine, stamp: Term, seconds: Term, result: Term) -> bool:
+def datime_plus_sec(machine: ProgramMachine, stamp: Term, seconds: Term, result: Term) -> bool:
     """Add seconds to a timestamp; the result has the same form."""
     return unify(result, _add_seconds(stamp, seconds, 1), machine.trail)
 
 
 @deterministic("addSec_Datime/3")
-def add_sec_datime(machine: Machine, seconds: Term, stamp: Term, result: Term) -> bool:
+def add_sec_datime(machine: ProgramMachine, seconds: Term, stamp: Term, result: Term) -> bool:
     """Add seconds to a timestamp, see ``datime_plus_sec/3``."""
     return datime_plus_sec(machine, stamp, seconds, result)
 
 
 @deterministic("datime_minus_sec/3")
-def datime_minus_sec(machine: Machine, stamp: Term, seconds: Term, result: Term) -> bool:
+def datime_minus_sec(machine: ProgramMachine, stamp: Term, seconds: Term, result: Term) -> bool:
     """Subtract seconds from a timestamp; the result has the same form."""
     return unify(result, _add_seconds(stamp, seconds, -1), machine.trail)
 
 
 @deterministic("current_datime/1")
-def current_datime(machine: Machine, result: Term) -> bool:
+def current_datime(machine: ProgramMachine, result: Term) -> bool:
     """Unify with the present time as ``datime/6``."""
     return unify(result, timestamps.datime6(machine.logic.now()), machine.trail)
 
 
 @deterministic("month_days/3")
-def month_days(machine: Machine, month: Term, year: Term, days: Term) -> bool:
+def month_days(machine: ProgramMachine, month: Term, year: Term, days: Term) -> bool:
     """Unify with the number of days of a month; year and month may be given in either order."""
     first, second = integer(month), integer(year)
     # A number above 12 can only be the year.
@@ -278,13 +278,13 @@ def _to_stamp(moment: datetime, second: float) -> float:
 
 
 @deterministic("get_time/1")
-def get_time(machine: Machine, stamp: Term) -> bool:
+def get_time(machine: ProgramMachine, stamp: Term) -> bool:
     """Unify with the present time as a stamp."""
     return unify(stamp, machine.logic.now() / 1e9, machine.trail)
 
 
 @deterministic("stamp_date_time/3")
-def stamp_date_time(machine: Machine, stamp: Term, result: Term, zone: Term) -> bool:
+def stamp_date_time(machine: ProgramMachine, stamp: Term, result: Term, zone: Term) -> bool:
     """Unify with the date term of a stamp; local time is UTC."""
     moment, second = _split_stamp(number(stamp))
     zone = deref(zone)
@@ -312,7 +312,7 @@ def stamp_date_time(machine: Machine, stamp: Term, result: Term, zone: Term) -> 
 
 
 @deterministic("date_time_stamp/2")
-def date_time_stamp(machine: Machine, date: Term, stamp: Term) -> bool:
+def date_time_stamp(machine: ProgramMachine, date: Term, stamp: Term) -> bool:
     """Unify with the stamp of a date term."""
     date = deref(date)
     if date.__class__ is Var:
@@ -336,7 +336,7 @@ _DATE_FIELDS = (
 
 
 @nondeterministic("date_time_value/3")
-def date_time_value(machine: Machine, name: Term, date: Term, value: Term) -> Solutions:
+def date_time_value(machine: ProgramMachine, name: Term, date: Term, value: Term) -> Solutions:
     """Enumerate the fields of a date term."""
     date = deref(date)
     if date.__class__ is not tuple or date[0] is not _DATE9:
@@ -349,7 +349,7 @@ def date_time_value(machine: Machine, name: Term, date: Term, value: Term) -> So
 
 
 @deterministic("day_of_the_week/2")
-def day_of_the_week(machine: Machine, date_term: Term, number: Term) -> bool:
+def day_of_the_week(machine: ProgramMachine, date_term: Term, number: Term) -> bool:
     """Unify with the day of the week of ``date(Y,M,D)``; Monday is 1."""
     date_term = deref(date_term)
     if date_term.__class__ is Var:
@@ -369,7 +369,7 @@ _ISO_8601 = re.compile(
 
 
 @deterministic("parse_time/2")
-def parse_time(machine: Machine, text: Term, stamp: Term) -> bool:
+def parse_time(machine: ProgramMachine, text: Term, stamp: Term) -> bool:
     """Unify with the stamp of an ISO 8601 text; fail for another text."""
     match = _ISO_8601.match(text_of(text))
     if match is None:
@@ -405,7 +405,7 @@ def _format(format_string: str, moment: datetime, second: float) -> str:
 
 
 @deterministic("format_time/3")
-def format_time(machine: Machine, sink: Term, format_term: Term, time_term: Term) -> bool:
+def format_time(machine: ProgramMachine, sink: Term, format_term: Term, time_term: Term) -> bool:
     """Write a formatted stamp or date to a stream, or unify it with an output specification such as ``atom(A)``."""
     text = _format(text_of(format_term), *_read_time(time_term))
     sink = deref(sink)
@@ -426,7 +426,7 @@ def _milliseconds(seconds: float) -> int:
     return int(seconds * 1000)
 
 
-_STATISTICS: Dict[str, Callable[[Machine], Term]] = {
+_STATISTICS: Dict[str, Callable[[ProgramMachine], Term]] = {
     "cputime": lambda machine: time.process_time(),
     "process_cputime": lambda machine: time.process_time(),
     "inferences": lambda machine: machine.budget.inferences,
@@ -444,7 +444,7 @@ _STATISTICS: Dict[str, Callable[[Machine], Term]] = {
 }
 
 
-def _value_and_difference(machine: Machine, name: str, value: int) -> Term:
+def _value_and_difference(machine: ProgramMachine, name: str, value: int) -> Term:
     """Return ``[Value, Difference]`` with the difference since the last call for the same key."""
     # The previous values belong to the program, so programs in one process do not affect each other.
     previous_values = machine.logic.state.setdefault("statistics", {})
@@ -454,7 +454,7 @@ def _value_and_difference(machine: Machine, name: str, value: int) -> Term:
 
 
 @deterministic("statistics/2")
-def statistics(machine: Machine, key: Term, value: Term) -> bool:
+def statistics(machine: ProgramMachine, key: Term, value: Term) -> bool:
     """Unify with a statistic of the process or the machine."""
     key = deref(key)
     if key.__class__ is Var:

@@ -6,12 +6,12 @@
 from contextlib import contextmanager
 from typing import Callable, Dict, Iterator, Optional
 
-from ..machine.machine import Code, Guard, Machine
+from ..machine.machine import Code, Guard
 from ..syntax.term_writer import write_term
 from ..terms.term_traversal import copy
 from ..terms.types import COLON, COMMA, Atom, Frame, Functor, Term, Values, Var, deref, functor
 from ..terms.unification import undo, unify
-from .builtin_registry import control
+from .builtin_registry import ProgramMachine, control
 
 _UNREPORTED_GOALS = frozenset(functor(name, 0) for name in ("true", "!", "fail", "false", "otherwise"))
 """Goals without ports in a trace."""
@@ -45,7 +45,7 @@ class Tracer:
         write_line: called with a line for each port.
     """
 
-    def __init__(self, machine: Machine, write_line: Callable[[str], None]):
+    def __init__(self, machine: ProgramMachine, write_line: Callable[[str], None]):
         self._logic = machine.logic
         self._write_line = write_line
         self._control = self._logic.control
@@ -169,7 +169,7 @@ def _functor_of(goal: Term) -> Optional[Functor]:
 
 
 @control("trace/1")
-def trace(machine: Machine, args: Values, continuation: Frame) -> Optional[Frame]:
+def trace(machine: ProgramMachine, args: Values, continuation: Frame) -> Optional[Frame]:
     """Call a goal and write a line to the error output for each port that it passes."""
     logic = machine.logic
     tracer = Tracer(machine, lambda line: logic.error_output(f"{line}\n"))
@@ -183,7 +183,7 @@ def trace(machine: Machine, args: Values, continuation: Frame) -> Optional[Frame
 
 def _exit_trace(frame: Frame) -> Frame:
     """Stop tracing when the traced goal exits; backtracking into it starts tracing again."""
-    machine: Machine
+    machine: ProgramMachine
     tracer: Tracer
     continuation: Frame
     _, machine, tracer, height, continuation = frame

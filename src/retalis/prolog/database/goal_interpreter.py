@@ -8,7 +8,7 @@ exception.
 A body that runs often is compiled while it runs, see `database.just_in_time_bodies`.
 """
 
-from typing import TYPE_CHECKING, Any, Callable, Dict, List, Optional, Tuple
+from typing import TYPE_CHECKING, Any, Callable, Dict, List, Mapping, Optional, Tuple
 
 from ..compiler.clause_nodes import ARROW, BAR, CALL, IGNORE, NOT, ONCE, SEMICOLON, SOFT_ARROW
 from ..machine.errors import PrologError, instantiation_error, type_error
@@ -145,6 +145,10 @@ class Control:
         if goal.__class__ is tuple and goal[0] in BODY_CONSTRUCTS:
             goal = check_body(goal)
         return self.solve(goal, len(self._choices), continuation)
+
+    def call_with(self, goal: Term, arguments: Values, continuation: Frame) -> Optional[Frame]:
+        """Return the frame of ``call/N``, which adds arguments to a goal."""
+        return self.call(add_arguments(goal, arguments, self._database.modules), continuation)
 
     def once(self, goal: Term, continuation: Frame) -> Optional[Frame]:
         """Return the frame that runs a goal for its first solution."""
@@ -293,13 +297,18 @@ def thrown(ball: Term) -> PrologError:
     return PrologError(ball if is_ground(ball) else copy(ball))
 
 
-def control_predicates(control: Control) -> Dict[Tuple[str, int], ControlFunction]:
-    """Return the control built-ins, functions ``(machine, args, next) -> frame``, by name and arity."""
+def control_predicates(control: Control, flags: Mapping[str, Term]) -> Dict[Tuple[str, int], ControlFunction]:
+    """Return the control built-ins, functions ``(machine, args, next) -> frame``, by name and arity.
+
+    Args:
+        control: runs goals.
+        flags: the Prolog flags of the program.
+    """
 
     def call(machine: Machine, args: Values, continuation: Frame) -> Optional[Frame]:
         if len(args) == 1:
             return control.call(args[0], continuation)
-        return control.call(add_arguments(args[0], args[1:], machine.logic.database.modules), continuation)
+        return control.call_with(args[0], args[1:], continuation)
 
     def catch(machine: Machine, args: Values, continuation: Frame) -> Optional[Frame]:
         return control.catch(args[0], args[1], args[2], continuation)
@@ -310,7 +319,7 @@ def control_predicates(control: Control) -> Dict[Tuple[str, int], ControlFunctio
     def findall(machine: Machine, args: Values, continuation: Frame) -> Optional[Frame]:
         template, goal, result = args[0], args[1], args[2]
         tail = args[3] if len(args) == 4 else NIL
-        if machine.logic.flags["iso"] is TRUE:
+        if flags["iso"] is TRUE:
             check_partial_list(result)
 
         def then(solutions: List[Term]) -> Optional[Frame]:

@@ -21,7 +21,7 @@ run, without a nested loop.
 """
 
 from sys import getrefcount
-from typing import TYPE_CHECKING, Any, Callable, Generator, List, NamedTuple, Optional, Protocol, Tuple
+from typing import Any, Callable, Generator, List, NamedTuple, Optional, Protocol, Tuple
 
 from ...foundation.cancellation import set_limit_check
 from ...foundation.errors import RetalisError, TermTooLarge
@@ -30,9 +30,6 @@ from ..terms.types import Frame, Functor, Step, Term, Trail, Values, Var
 from ..terms.unification import undo, unify
 from .errors import CONTEXT, ERROR, PrologError, first_goal_functor, from_python, indicator, resource_error
 from .resource_limits import SLICE, Budget, BudgetState
-
-if TYPE_CHECKING:
-    from ..system.prolog_system import PrologSystem
 
 
 class OutputCollector(Protocol):
@@ -216,7 +213,6 @@ class Machine:
     """Executes frames.
 
     Args:
-        logic: the program that it runs.
         budget: resource limits of goals, and their use.
 
     Attributes:
@@ -224,11 +220,9 @@ class Machine:
         choices: choice points; the list object never changes.
         done: the frame that ends a run, the continuation of the first frame of each `run`.
         budget: resource limits of goals, and their use.
-        logic: the program that it runs.
     """
 
-    def __init__(self, logic: "PrologSystem", budget: Budget):
-        self.logic = logic
+    def __init__(self, budget: Budget):
         self.budget = budget
         self.trail: Trail = []
         self.choices: List[Frame] = []

@@ -23,6 +23,7 @@ from typing import (
 
 from ...foundation.displayed_text import MAX_SHOWN_CHARACTERS
 from ...foundation.source_places import Place
+from ..builtins.builtin_registry import ProgramMachine
 from ..builtins.grammar_and_ssu_rules import (
     SINGLE_SIDED,
     is_error_clause_body,
@@ -103,9 +104,9 @@ class PrologSystem(PredicateTable):
         counts_uses: bool = False,
     ):
         super().__init__(
+            ProgramMachine(self, Budget(limits, executor)),
             Operators.prolog() if operators is None else operators,
             compile_after,
-            Budget(limits, executor),
             self._record_module,
             lambda text: self.message("warning", text),
         )

@@ -42,7 +42,7 @@ from ..builtins import (  # noqa: F401
     time_predicates,
     tracer,
 )
-from ..builtins.builtin_registry import ENTRIES
+from ..builtins.builtin_registry import ENTRIES, ProgramMachine
 from ..builtins.flags_operators_modules import default_flags
 from ..builtins.grammar_and_ssu_rules import translate_rule
 from ..compiler.clause_nodes import PROTECTED_PREDICATES, functional
@@ -52,7 +52,6 @@ from ..database.goal_terms import functor_of, split_clause
 from ..database.predicate import Predicate
 from ..database.predicate_database import ISO_PREDICATES, Database
 from ..machine.machine import LAST, Code, Machine
-from ..machine.resource_limits import Budget
 from ..syntax.operators import Operators
 from ..syntax.term_reader import read_program
 from ..terms.types import Frame, Functor, Step, Term, Values, Var, deref, functor
@@ -119,14 +118,14 @@ class PredicateTable:
     """Machine with its predicates, operators and flags.
 
     Args:
+        machine: runs frames.
         operators: operator table of the program.
         compile_after: calls of an unchanged predicate after which it is compiled.
-        budget: resource limits of goals.
         on_module: called with the name of each module that a file declares.
         warn: called with the text of a warning.
 
     Attributes:
-        machine: runs frames.
+        machine: see above.
         database: predicates by functor.
         control: interpreter of goal terms.
         operators: operator table, changed by ``op/3``.
@@ -136,13 +135,13 @@ class PredicateTable:
 
     def __init__(
         self,
+        machine: ProgramMachine,
         operators: Operators,
         compile_after: int,
-        budget: Budget,
         on_module: Callable[[str], None],
         warn: Callable[[str], None],
     ):
-        self.machine = Machine(self, budget)  # type: ignore[arg-type]  # `PrologSystem` is the only subclass
+        self.machine = machine
         self.operators = operators
         self._library = library_index()
         self.database = Database(
@@ -151,7 +150,7 @@ class PredicateTable:
         self.control = self.database.control
         self.undefined_procedures = UndefinedProcedures(self, warn)
         self.flags: Dict[str, Term] = default_flags()
-        for (name, arity), function in control_predicates(self.control).items():
+        for (name, arity), function in control_predicates(self.control, self.flags).items():
             self._mark_as_system(self.define_control(name, arity, function))
         definers: Dict[str, Callable[..., Predicate]] = {
             "deterministic": self.define,
