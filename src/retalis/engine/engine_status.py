@@ -6,16 +6,32 @@ the event that is being processed.
 """
 
 import time
-from typing import Any, Callable, Dict, List, Mapping, NamedTuple, Optional, Sequence, Tuple, TypeVar, Union
+from typing import (
+    Any,
+    Callable,
+    Dict,
+    List,
+    Mapping,
+    NamedTuple,
+    Optional,
+    Sequence,
+    Tuple,
+    TypeVar,
+    Union,
+    cast,
+)
 
 from ..events.clock.clock import Clock
 from ..events.knowledge.knowledge_base import KnowledgeBase
-from ..events.knowledge.pending_queries import AwaitedSource
+from ..events.knowledge.memory import MemoryInstance
+from ..events.knowledge.pending_queries import AwaitedSource, PendingQuery
+from ..events.knowledge.subscriptions import Subscription, SubscriptionKey
 from ..events.knowledge.transform_predicates import AwaitedTransform, Transforms
+from ..events.network.event_rule import EventRule
 from ..events.rules.rule_base import RuleBase
 from ..events.rules.timer_service import FIRST_INSTANT
 from ..foundation.displayed_text import shorten
-from ..prolog.terms.types import Term, Var, deref
+from ..prolog.terms.types import CompoundTerm, Term, Var, deref
 from .event_input import EventInput
 from .loaded_items import LoadedProgram
 from .runtime.problem_reports import Reports
@@ -519,7 +535,7 @@ def _list_rules(
         chosen = set(sorted(listed, key=lambda rule: -rule.metrics.error_count)[: max(0, limit)])
         listed = [rule for rule in listed if rule in chosen]
 
-    def read_status(rule: Any) -> RuleStatus:
+    def read_status(rule: EventRule) -> RuleStatus:
         metrics = rule.metrics
         return RuleStatus(
             label="" if rule.label is None else format_brief(rule.label),
@@ -546,7 +562,7 @@ def _list_memories(
 ) -> Tuple[Tuple[MemoryStatus, ...], int]:
     """Return the status of memories, and the number of memories that are not listed."""
 
-    def read_status(instance: Any) -> MemoryStatus:
+    def read_status(instance: MemoryInstance) -> MemoryStatus:
         memory = instance.memory
         # The list only grows; removal of records replaces it. So `ends` and the length read here belong together even
         # while the engine adds records.
@@ -571,9 +587,9 @@ def _list_subscriptions(
 ) -> Tuple[Tuple[SubscriptionStatus, ...], int]:
     """Return the status of subscriptions, and the number of subscriptions that are not listed."""
 
-    def read_status(item: Any) -> SubscriptionStatus:
+    def read_status(item: Tuple[SubscriptionKey, Subscription]) -> SubscriptionStatus:
         (topic, _), subscription = item
-        _, pattern, *_ = subscription.definition
+        _, pattern, *_ = cast("CompoundTerm", subscription.definition)
         rate_limiter = subscription.rate_limiter
         late, dropped, ahead = (
             (0, 0, 0)
@@ -598,7 +614,7 @@ def _list_queries(
 ) -> Tuple[Tuple[WaitingStatus, ...], int]:
     """Return the status of pending queries, and the number of queries that are not listed."""
 
-    def read_status(query: Any) -> WaitingStatus:
+    def read_status(query: PendingQuery) -> WaitingStatus:
         _, triggered_query, values, _, end, missing = query
         statuses = [_read_awaited(source, instant, format_brief) for source, instant in tuple(missing)]
         awaited = [status for status in statuses if status is not None]

@@ -8,7 +8,7 @@ such events, as if they had come before it was added.
 
 from typing import AbstractSet, Any, Dict, FrozenSet, Iterable, Optional
 
-from ...prolog.terms.types import Functor, Term, Var, atom, deref
+from ...prolog.terms.types import Functor, Term, Values, Var, atom, deref
 from ..language.pattern_tree import occurrences
 from .listeners import Listener
 from .matcher_compiler import Matcher
@@ -101,7 +101,7 @@ class ArgumentProjection:
 
 
 def _reject_unread(matcher: Matcher, positions: Iterable[int]) -> Matcher:
-    def match(term: Any) -> Any:
+    def match(term: Any) -> Optional[Values]:
         for position in positions:
             if term[position] is NOT_READ:
                 return None
@@ -111,7 +111,7 @@ def _reject_unread(matcher: Matcher, positions: Iterable[int]) -> Matcher:
 
 
 def _reject_any_unread(matcher: Matcher) -> Matcher:
-    def match(term: Any) -> Any:
+    def match(term: Any) -> Optional[Values]:
         if term.__class__ is tuple and NOT_READ in term[1:]:
             return None
         return matcher(term)

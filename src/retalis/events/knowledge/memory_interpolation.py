@@ -102,7 +102,7 @@ class MemoryGaps:
     def define_predicates(self, logic: PrologSystem, memories: MemoryInstances) -> None:
         """Define ``datime_interpolate/4`` and ``memory_gap/3``."""
 
-        def interpolate(first: Term, second: Term, time: Term) -> Any:
+        def interpolate(first: Term, second: Term, time: Term) -> Optional[Number]:
             return self.interpolation_weight(instant_of(first), instant_of(second), instant_of(time))
 
         def gap(name: Term, time: Term) -> Optional[float]:

@@ -29,6 +29,7 @@ from typing import (
     Optional,
     Sequence,
     Tuple,
+    TypeVar,
 )
 
 from ...foundation.errors import RetalisError, RuleError, TermTooLarge
@@ -77,6 +78,9 @@ from ..streams.stream_operators import ELEMENT, KeyBounds, StreamElement, Stream
 from ..streams.windows import KeyedWindow
 from .lineage_graph import lineage_nodes_of
 from .pattern_nodes import MatchCheck, NetworkNode, OperandBuffer, checks_of_negations
+
+_Matched = TypeVar("_Matched")
+_Returned = TypeVar("_Returned")
 
 if TYPE_CHECKING:
     from ..matches.negation import DeferredNegations
@@ -393,7 +397,9 @@ class StreamNodeSpec(NamedTuple):
     fusible_window: Optional[FusedWindow] = None
     uses_stamps: bool = False
 
-    def with_stamps(self, process: Callable[[Any, Values, int, int], Any]) -> Callable[..., Any]:
+    def with_stamps(
+        self, process: Callable[[_Matched, Values, int, int], _Returned]
+    ) -> Callable[[_Matched, Values, int, int], _Returned]:
         """Return a function that takes a match with its values, start and end, and calls another one.
 
         If stamps are used, the other function receives them after the values.
@@ -401,7 +407,7 @@ class StreamNodeSpec(NamedTuple):
         if not self.uses_stamps:
             return process
 
-        def process_with_stamps(match: Any, values: Values, start: int, end: int) -> Any:
+        def process_with_stamps(match: _Matched, values: Values, start: int, end: int) -> _Returned:
             return process(match, (*values, lazy_term(start), lazy_term(end)), start, end)
 
         return process_with_stamps
@@ -412,8 +418,7 @@ class StreamNodeSpec(NamedTuple):
         def create(match: Any, values: Values, start: int, end: int) -> StreamElement:
             return StreamElement(match, start, end, *self.key_and_values(values))
 
-        element: StreamElement = self.with_stamps(create)(match, values, start, end)
-        return element
+        return self.with_stamps(create)(match, values, start, end)
 
 
 def _drop_result(match: PartialMatch, frame: Frame) -> Frame:
