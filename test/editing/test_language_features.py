@@ -170,6 +170,45 @@ def test_hover_shows_value_of_constant(folder: Path) -> None:
     assert text_at(folder, "eventRules.txt", "WARN") == "`byte WARN=1`"
 
 
+@pytest.mark.parametrize(
+    ("window", "names"),
+    [
+        ("", ["last", "every", "running", "session", "held", "steps", "timed_out"]),
+        ("se", ["last", "every", "running", "session", "held", "steps", "timed_out"]),
+        ("last(5, ", ["events", "every"]),
+        ("every(5, ", ["first", "events"]),
+        ("running(", ["every"]),
+        ("session(5, ", ["max"]),
+        ("held(", ["last", "every"]),
+        ("held(last(5, ", ["every"]),
+        ("running(every(5, ", ["first", "events"]),
+        ("held(every(5), ", ["max"]),
+        ("timed_out(", ["steps"]),
+    ],
+)
+def test_windows_are_completed(folder: Path, window: str, names: List[str]) -> None:
+    kinds = completions(folder, f"x(N) <- aggregate([count, avg(Y)], seen(Y), N, {window}")
+    assert kinds == dict.fromkeys(names, "operator")
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "x(N) <- aggregate(",
+        "x(N) <- aggregate(count, ",
+        "x(N) <- aggregate(count, seen(",
+        "x(N) <- aggregate(count, seen(Y), N, last(",
+        "x(N) <- aggregate(count, seen(Y), N, steps([low where last(low, ",
+        "x(N) <- aggregate(count, seen(Y), N, last(5)) where ",
+        "x :- last(5, ",
+    ],
+)
+def test_no_windows_are_completed_elsewhere(folder: Path, text: str) -> None:
+    kinds = completions(folder, text)
+    assert kinds["within"] == "operator"
+    assert not {"last", "session", "events"} & set(kinds)
+
+
 def test_memories_are_completed(folder: Path) -> None:
     assert completions(folder, "x :- prev(") == {"last_seen": "memory"}
 

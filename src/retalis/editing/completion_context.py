@@ -32,6 +32,10 @@ _CLOSING = (")", "]", "}")
 _MEMORY_READ_NAMES = frozenset(key.name for key in MEMORY_READS) | {"delete_memory"}
 
 
+WindowPath = Tuple[Tuple[str, int], ...]
+"""Functors around a part of a window, from ``aggregate``, each with the number of its argument."""
+
+
 class CompletionContext(NamedTuple):
     """Names that are expected at a position.
 
@@ -41,6 +45,8 @@ class CompletionContext(NamedTuple):
         is_slot_name: whether the name of a slot is expected there.
         named_slots: names of the slots before the position in the same bracket.
         variables: names of the variables before the position in the clause.
+        window_path: in the window of an aggregate, the functors around the position, ``aggregate`` first, each with
+            the number of its argument; else empty.
     """
 
     symbol_kind: Optional[SymbolKind]
@@ -48,6 +54,7 @@ class CompletionContext(NamedTuple):
     is_slot_name: bool
     named_slots: Tuple[str, ...]
     variables: Tuple[str, ...]
+    window_path: WindowPath = ()
 
 
 class _UnclosedBracket:
@@ -139,7 +146,20 @@ def _context_after(clause: List[AnyToken]) -> CompletionContext:
         is_slot_name,
         tuple(innermost.slots) if innermost is not None else (),
         tuple(variables),
+        _find_window_path(brackets),
     )
+
+
+def _find_window_path(brackets: List[_UnclosedBracket]) -> WindowPath:
+    path: List[Tuple[str, int]] = []
+    for bracket in reversed(brackets):
+        # Steps are in a list, and have no parts of windows.
+        if bracket.kind != OPEN_CT:
+            return ()
+        path.append((bracket.functor, bracket.argument))
+        if bracket.functor == "aggregate":
+            return tuple(reversed(path)) if bracket.argument == 4 else ()
+    return ()
 
 
 def _open(kind: str, brackets: List[_UnclosedBracket], functor: str) -> _UnclosedBracket:

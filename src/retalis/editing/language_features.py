@@ -5,13 +5,14 @@ The functions take the text of a file and an offset in it, and return plain data
 
 import os
 import re
+from functools import lru_cache
 from pathlib import Path
-from typing import Dict, Iterator, List, Mapping, NamedTuple, Optional, Sequence, Tuple
+from typing import Any, Dict, Iterator, List, Mapping, NamedTuple, Optional, Sequence, Tuple
 
 from ..engine.engine_settings import Settings
 from ..engine.program_check import check_program
 from ..events.checks.check_runner import Finding
-from ..events.language.event_operators import EVENT_OPERATORS, OperatorKind
+from ..events.language.event_operators import EVENT_OPERATORS, EVENT_OPERATORS_BY_NAME, OperatorKind
 from ..events.program.topic_configuration import (
     ATTRIBUTE_VALUES,
     ATTRIBUTES,
@@ -28,8 +29,12 @@ from ..messages.message_templates import format_with_names
 from ..messages.type_definition import Constant, Definition, type_name
 from ..messages.type_registry import Definitions
 from ..prolog.syntax.literals import atom_text
+from ..prolog.syntax.operators import Operators
+from ..prolog.syntax.term_reader import read_term
+from ..prolog.syntax.term_writer import write_term
+from ..prolog.terms.types import Var, deref, functor_name
 from .clause_reader import ClauseReader, ParsedClause
-from .completion_context import CompletionContext, find_context, find_xml_context
+from .completion_context import CompletionContext, WindowPath, find_context, find_xml_context
 from .formatter import format_goals, format_rules
 from .program_index import ProgramIndex
 from .rule_verbalization import describe_rule
@@ -276,7 +281,39 @@ def complete(
             Completion(symbol.name, kind, context.symbol_kind.value, "", atom_text(symbol.name))
             for symbol in symbols
         ]
+    if context.window_path in _window_parts():
+        return _window_parts()[context.window_path]
     return list(_names(context, is_goal_file, index, predicates))
+
+
+@lru_cache(maxsize=1)
+def _window_parts() -> Dict[WindowPath, List[Completion]]:
+    """Return the names that may begin a window, or an argument in a window, from the table of windows."""
+    notations: Dict[WindowPath, Dict[str, List[str]]] = {}
+    for reading in EVENT_OPERATORS_BY_NAME["aggregate_over"].readings:
+        read = read_term(reading.notation, Operators.prolog())
+        aggregate: Any = read.term
+        variable_names = {var: name for name, var in read.names.items()}
+        window_path = (("aggregate", 4),)
+        stack: List[Tuple[WindowPath, Any]] = [(window_path, aggregate[4])]
+        while stack:
+            path, term = stack.pop()
+            part: Any = deref(term)
+            if part.__class__ is Var:
+                continue
+            line = f"`{write_term(part, variable_names=variable_names)}`"
+            if path == window_path:
+                line = f"{line}: {reading.words}"
+            notations.setdefault(path, {}).setdefault(functor_name(part), []).append(line)
+            if part.__class__ is tuple:
+                stack += [((*path, (part[0].name, number)), part[number]) for number in range(1, len(part))]
+    return {
+        path: [
+            Completion(name, "operator", "window", "\n\n".join(dict.fromkeys(lines)), name)
+            for name, lines in lines_by_name.items()
+        ]
+        for path, lines_by_name in notations.items()
+    }
 
 
 def _complete_topics(text: str, offset: int) -> Iterator[Completion]:
