@@ -157,8 +157,10 @@ class Combinations:
         return self._absent(node, events)
 
     def _pairs(self, node: Both, events: Sequence[Event]) -> Iterable[Tuple[Match, Match, TimedMatch]]:
-        for p in self.timed_matches(node.left, events):
-            for q in self.timed_matches(node.right, events):
+        # Both sides are evaluated at each event, also if one has no match: negations remember what they have allowed.
+        lefts, rights = (list(self.timed_matches(side, events)) for side in (node.left, node.right))
+        for p in lefts:
+            for q in rights:
                 in_time = node.kind != "seq" or self.out_of_order or p.arrival < q.arrival
                 same = len(p.match.numbers) == 1 and p.match.numbers == q.match.numbers
                 if same or not in_time or not PAIRS[node.kind].fits(p.match, q.match):

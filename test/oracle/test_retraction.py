@@ -60,6 +60,13 @@ def test_revision_has_computed_results(
             assert derived == expected_events.split()
 
 
+def test_late_event_of_without_excludes_no_stored_match() -> None:
+    """The match of a was stored before c arrived, and no retraction has anything to do with it."""
+    pattern = "and(d,without(a,c))"
+    steps = run_with_retraction([rule("out", pattern)], stream("a@1-3 c@1-7 d@9"), "unrestricted", False)
+    assert [sum(n for event, n in step.items() if event[0] == "out") for step in steps] == [0, 0, 1]
+
+
 def test_event_completes_one_side_only() -> None:
     events = stream("a(1)@1 d@2 a(2)@3 rev(d)@4")
     steps = run_with_retraction([rule("out", "and(fnot(a(X),d),a(Y))")], events, "recent", False)
