@@ -54,6 +54,12 @@ def outputs_with_revision(rules: Any, stream: str, policy: Any = None) -> Any:
         ("c(X) <- a(X) or b(X).", "a(1)@1 b(1)@2 rev(b(1))@3", "c(1)@1-1 c(1)@2-2 rev(c(1))@3-3"),
         ("c(X) <- (a(X) seq d) cnot b.", "a(0)@15-20 a(1)@13-23 b@23 b@24 d@25 rev(b)@30", "c(1)@13-25"),
         ("c <- a(X) fnot b(Y).", "b(1)@1 a(0)@9 b(2)@5 rev(b(1))@20", ""),
+        ("c <- ((e or a(X)) seq f(X)) cnot b.", "b@3 e@2 f(1)@4 rev(b)@5 f(2)@6", "c@2-4"),
+        (
+            "c(X) <- a(X) fnot (a(_) fnot a(_)).",
+            "a(2)@5 a(1)@9 a(0)@7 rev(a(2))@10",
+            "c(2)@5-5 rev(c(2))@10-10 c(0)@7-7",
+        ),
     ],
 )
 def test_retraction_retracts_derived_events(rules: str, stream: str, expected: str) -> None:

@@ -56,8 +56,11 @@ _MAX_COMPLETED_EVENTS = 2000
 """Maximum number of events that are remembered because they have completed a pair; see `join_one_partner`."""
 MAX_RETAINED_MATCHES = 10_000
 """Maximum number of second operands that are retained in one buffer."""
-Join = Callable[[PartialMatch, PartialMatch], Optional[PartialMatch]]
-"""Returns the result of an arriving match and a partner; None if they do not satisfy the join."""
+Join = Callable[..., Optional[PartialMatch]]
+"""Returns the result of an arriving match and a partner; None if they do not satisfy the join.
+
+If these are copies, whose values are unified, a third argument is the pair of the stored matches.
+"""
 _FinishJoin = Callable[[PartialMatch, Hashable, PartialMatch, PartialMatch, Frame], Frame]
 """Takes a match, its key, a partner, their result and the next frame."""
 _JoinFirstOf = Callable[[PartialMatch, Hashable, Iterator[PartialMatch], Frame], Frame]
@@ -319,7 +322,7 @@ def unify_and_join(
     if has_equal_key(key, partner):
         return side.join(match, partner)
     sides = unify_sides(match, partner, side.shared)
-    return None if sides is None else side.join(*sides)
+    return None if sides is None else side.join(*sides, (match, partner))
 
 
 def is_valid(match: Optional[PartialMatch]) -> bool:
@@ -420,11 +423,15 @@ def join_in_order(current_number: Callable[[], int], join: Join) -> Join:
     A revived second operand joins only with first operands that arrived before it.
     """
 
-    def join_if_earlier(match: PartialMatch, partner: PartialMatch) -> Optional[PartialMatch]:
+    def join_if_earlier(
+        match: PartialMatch,
+        partner: PartialMatch,
+        originals: Optional[Tuple[PartialMatch, PartialMatch]] = None,
+    ) -> Optional[PartialMatch]:
         arrival_number = arrival_number_of(match)
         if is_revived(current_number, arrival_number) and arrival_number_of(partner) >= arrival_number:
             return None
-        return join(match, partner)
+        return join(match, partner, originals)
 
     return join_if_earlier
 

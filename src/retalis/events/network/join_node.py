@@ -22,7 +22,6 @@ from typing import (
     TYPE_CHECKING,
     AbstractSet,
     Any,
-    Callable,
     Dict,
     Hashable,
     Iterator,
@@ -41,6 +40,7 @@ from ..fused.fused_join import FusedPair, PartnerChoice, compile_fused_negation,
 from ..language.event_operators import EventOperator
 from ..matches.consumption_policy import (
     Emit,
+    Join,
     MatchSide,
     RetainedMatches,
     join_all_at_once,
@@ -54,7 +54,7 @@ from ..matches.consumption_policy import (
 from ..matches.expiration import retention_for_late
 from ..matches.interval_index import interval_bounds
 from ..matches.match_buffer import MatchBuffer
-from ..matches.match_types import TOKEN_KEY, ComputedValues, PartialMatch, is_retracted
+from ..matches.match_types import TOKEN_KEY, ComputedValues, PartialMatch, is_retracted, unify_sides
 from ..matches.negation import DeferredNegations, NegationBuffer, OverlapBuffer, OverlapSweep, RuledOutSweep
 from ..matches.network_options import NetworkOptions
 from .goal_evaluation import Test
@@ -453,15 +453,13 @@ class JoinNode(NetworkNode):
 
         return store_and_join
 
-    def _compile_join(
-        self, left_arrives: bool
-    ) -> Callable[[PartialMatch, PartialMatch], Optional[PartialMatch]]:
+    def _compile_join(self, left_arrives: bool) -> Join:
         """Compile the tests and the result of a pair; the arriving match is the first argument."""
         operator = self.operator
         namespace: Dict[str, Any] = {"Match": PartialMatch}
         # The order of the lines is from cheap to expensive: interval, span, negations, conditions.
         lines = [
-            f"def generated({'l, r' if left_arrives else 'r, l'}):",
+            f"def generated({'l, r' if left_arrives else 'r, l'}, originals=None):",
             "    s1 = l.start; e1 = l.end; s2 = r.start; e2 = r.end",
             f"    if not ({operator.interval_condition}):",
             "        return None",
@@ -493,22 +491,24 @@ class JoinNode(NetworkNode):
         )
         parts = "(l, r, ComputedValues(own(values)))" if len(self.vars) > received_count else "(l, r)"
         lines.append(f"    return Match(values, start, end, None, None, {parts})")
-        join: Callable[[PartialMatch, PartialMatch], Optional[PartialMatch]] = shared_function(
-            "\n".join(lines) + "\n", namespace, f"join by {operator.name}"
-        )
+        join: Join = shared_function("\n".join(lines) + "\n", namespace, f"join by {operator.name}")
         if self.rule.options.tracks_events and (self.negations or self.deferred_negations):
             return self._record_suppressed_joins(join, left_arrives)
         return join
 
-    def _record_suppressed_joins(
-        self, join: Callable[[PartialMatch, PartialMatch], Optional[PartialMatch]], left_arrives: bool
-    ) -> Callable[[PartialMatch, PartialMatch], Optional[PartialMatch]]:
+    def _record_suppressed_joins(self, join: Join, left_arrives: bool) -> Join:
         rule, tracker = self.rule, self.rule.network.tracker
 
-        def join_and_record(match: PartialMatch, partner: PartialMatch) -> Optional[PartialMatch]:
+        def join_and_record(
+            match: PartialMatch,
+            partner: PartialMatch,
+            originals: Optional[Tuple[PartialMatch, PartialMatch]] = None,
+        ) -> Optional[PartialMatch]:
             rule.blocking_match = None
             result = join(match, partner)
             if result is None and rule.blocking_match is not None:
+                # Copies are in no buffer, so that a retraction could not see whether the matches are still stored.
+                match, partner = originals or (match, partner)
                 tracker.record_suppressed(self, (match, partner) if left_arrives else (partner, match))
             return result
 
@@ -525,7 +525,8 @@ class JoinNode(NetworkNode):
             return frame
         if is_retracted(left) or is_retracted(right):
             return frame
-        result = self.join_pair(left, right)
+        sides = unify_sides(left, right, self.join_positions)
+        result = None if sides is None else self.join_pair(*sides, (left, right))
         if result is None:
             return frame
         if options.policy.consumes_partners or self.operator.joins_all_left:

@@ -122,11 +122,14 @@ class RetractionExecutor:
         retries: List[Tuple[RetryingNode, MatchOrPair]] = [
             (node, result) for run, node in runs.items() for result in node.recompute_results(run)
         ]
-        return invalidated, retries + [
+        retries += [
             (suppressed.node, suppressed.match_or_pair)
             for suppressed in released_matches
             if suppressed.release()
         ]
+        # A negated match that becomes valid excludes others, which must not be tried before it is stored.
+        retries.sort(key=lambda retry: not retry[0].is_negated)
+        return invalidated, retries
 
     @staticmethod
     def _detach_from_dependents(
