@@ -106,6 +106,8 @@ class Combinations:
         result: List[Any] = []
         for match, arrival in matches:
             passed = self.tests.settle(match, operator)
+            # A pair that one condition suppresses is tested by all of them when it is tried again.
+            allowed_keys: Set[Any] = set() if isinstance(operator, Both) else self._allowed_keys
             for condition in conditions:
                 if passed is None:
                     break
@@ -117,9 +119,10 @@ class Combinations:
                     for r, r_arrival in absences[condition]
                     if r.start < passed.end and passed.start < r.end and self.tests.agree(r, passed.bindings)
                 ]
-                if not self._is_allowed(condition, passed, arrival, absent_arrivals):
+                if not self._is_allowed(condition, passed, arrival, absent_arrivals, allowed_keys):
                     passed = None
             if passed is not None:
+                self._allowed_keys |= allowed_keys
                 result.append(TimedMatch(passed, arrival))
         return result
 
@@ -185,6 +188,7 @@ class Combinations:
                         for r, r_arrival in absent
                         if p.end < r.start and r.end < q.start and self.tests.agree(r, passed.bindings)
                     ],
+                    self._allowed_keys,
                 ):
                     yield TimedMatch(passed, arrival)
         else:
@@ -194,11 +198,16 @@ class Combinations:
                     for r, r_arrival in absent
                     if r.end < match.start and self.tests.agree(r, match.bindings)
                 ]
-                if self._is_allowed(node, match, arrival, absent_arrivals):
+                if self._is_allowed(node, match, arrival, absent_arrivals, self._allowed_keys):
                     yield TimedMatch(match, arrival)
 
-    def _is_allowed(self, node: Any, match: Match, arrival: int, absent_arrivals: List[int]) -> bool:
-        """Return whether nothing suppresses a match, given the arrivals of the events that would."""
+    def _is_allowed(
+        self, node: Any, match: Match, arrival: int, absent_arrivals: List[int], allowed_keys: Set[Any]
+    ) -> bool:
+        """Return whether nothing suppresses a match, given the arrivals of the events that would.
+
+        The key of a match that nothing suppresses is added to ``allowed_keys``.
+        """
         if any(r_arrival <= arrival for r_arrival in absent_arrivals):
             return False
         key = (id(node), match.variant(), tuple(sorted(match.numbers)))
@@ -206,7 +215,7 @@ class Combinations:
             return True
         if arrival < self.now and absent_arrivals:
             return False
-        self._allowed_keys.add(key)
+        allowed_keys.add(key)
         return True
 
 

@@ -67,6 +67,14 @@ def test_late_event_of_without_excludes_no_stored_match() -> None:
     assert [sum(n for event, n in step.items() if event[0] == "out") for step in steps] == [0, 0, 1]
 
 
+def test_pair_is_tested_by_all_conditions_again() -> None:
+    """Without c was satisfied before c arrived, but only a pair that satisfies both conditions fires."""
+    pattern = "without(without(seq(a,b),c),d)"
+    for events, expected in (("a@1 d@2 b@3 c@2-4 rev(d)@5", 0), ("a@1 d@2 b@3 rev(d)@4 c@2-5", 1)):
+        steps = run_with_retraction([rule("out", pattern)], stream(events), "unrestricted", False)
+        assert sum(n for step in steps for event, n in step.items() if event[0] == "out") == expected
+
+
 def test_event_completes_one_side_only() -> None:
     events = stream("a(1)@1 d@2 a(2)@3 rev(d)@4")
     steps = run_with_retraction([rule("out", "and(fnot(a(X),d),a(Y))")], events, "recent", False)
