@@ -10,8 +10,9 @@ from source import NODES, TREES
 from retalis.foundation.bounded_caches import ENTRY_BYTES, Cache, TextCache
 
 CACHED_FUNCTIONS = {
+    ("editing/language_features.py", "_window_parts"): "one entry",
     ("editing/rule_verbalization.py", "_pattern_rows"): "one entry",
-    ("editing/rule_verbalization.py", "_aggregate_rows"): "one entry",
+    ("editing/rule_verbalization.py", "_aggregate_rows"): "two entries, for held and other values",
     ("editing/rule_verbalization.py", "_head_rows"): "one entry",
     ("explanation/why_not_matched.py", "_compile_interval_join"): "one entry for each operator",
     (
