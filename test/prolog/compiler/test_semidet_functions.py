@@ -9,7 +9,7 @@ from prolog.compiler.test_predicate_code import term
 from prolog.support import NEVER, prolog, show
 
 from retalis import PrologError, Var, functor
-from retalis.prolog.machine.machine import BAIL
+from retalis.prolog.compiler.semidet_functions import BAIL
 from retalis.prolog.syntax.term_reader import read_term
 
 PROGRAM = """
@@ -203,7 +203,7 @@ def test_attempts_use_functions_or_frames() -> None:
             results.append(outputs)
             return machine.done
 
-        assert machine.run(required(machine.attempt(goal, values, record, machine.done, results.append)))
+        assert machine.run(required(goal.attempt(values, record, machine.done, results.append)))
         assert results == [expected]
 
 

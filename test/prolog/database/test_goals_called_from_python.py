@@ -74,22 +74,20 @@ def test_attempt_continues_fails_or_reports_error() -> None:
         return machine.done
 
     find = goal(logic, "q(X, Y), Y > A", ["A"], ["X", "Y"])
-    assert run(logic, lambda: machine.attempt(find, (2,), record, machine.done, results.append))
+    assert run(logic, lambda: find.attempt((2,), record, machine.done, results.append))
     assert results == [(2, 4)]
-    assert run(logic, lambda: machine.attempt(find, (9,), record, machine.done, results.append))
+    assert run(logic, lambda: find.attempt((9,), record, machine.done, results.append))
     assert results == [(2, 4)]
     fails = goal(logic, "q(X, Y), Y > A, throw(ball(X))", ["A"], [])
     assert run(
         logic,
-        lambda: machine.attempt(fails, (2,), record, machine.done, lambda error: results.append(error.term)),
+        lambda: fails.attempt((2,), record, machine.done, lambda error: results.append(error.term)),
     )
     assert results[1:] == [(functor("ball", 1), 2)]
     inline = goal(logic, "Y is X / 0", ["X"], ["Y"])
     assert run(
         logic,
-        lambda: machine.attempt(
-            inline, (2,), record, machine.done, lambda error: results.append(error.message)
-        ),
+        lambda: inline.attempt((2,), record, machine.done, lambda error: results.append(error.message)),
     )
     assert "zero_divisor" in results[2]
     assert machine.trail == [] == machine.choices
@@ -104,9 +102,9 @@ def test_nested_attempts_use_no_recursion() -> None:
     def repeat(outputs: Any) -> Any:
         nonlocal depth
         depth += 1
-        return machine.done if depth == 5000 else machine.attempt(find, (), repeat, None, print)
+        return machine.done if depth == 5000 else find.attempt((), repeat, None, print)
 
-    assert run(logic, lambda: machine.attempt(find, (), repeat, None, print))
+    assert run(logic, lambda: find.attempt((), repeat, None, print))
     assert depth == 5000
 
 

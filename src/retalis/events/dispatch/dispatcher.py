@@ -230,7 +230,6 @@ class Dispatcher(ListenerIndex, StateOwner):
         self._max_chain_length = max_depth + 1
         # The limit for chains of events may be lower than the depth for recursion.
         self.max_recursive_depth = min(MAX_RECURSIVE_DEPTH, self._max_chain_length)
-        self._machine: Any = None if logic is None else logic.machine
         self._done: Any = None if logic is None else logic.machine.done
         self._run: Any = None if logic is None else logic.machine.run
         self._budget = Budget() if logic is None else logic.machine.budget
@@ -428,8 +427,7 @@ class Dispatcher(ListenerIndex, StateOwner):
             self.current = context
             on_error(values, error)
 
-        return self._machine.attempt(  # type: ignore[no-any-return]
-            goal,
+        return goal.attempt(  # type: ignore[return-value]
             inputs,
             lambda outputs: on_solution(term, values + outputs, start, end, frame),
             frame,

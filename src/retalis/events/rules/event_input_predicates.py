@@ -343,21 +343,18 @@ class _GoalStream:
     def __init__(self, rules: "RuleBase", goals: Sequence[Term]):
         self.rules = rules
         self.goals = iter(goals)
-        self.machine: Machine = rules.logic.machine
         query = Var()
         self.call = rules.logic.compile_goal((functor("call", 1), query), [query], [])
 
     def run(self, frame: Frame) -> Optional[Frame]:
         # Only the first remaining goal: the frame is activated again when the goal and its consequences are done.
         for goal in self.goals:
-            next_frame: Optional[Frame] = self.machine.attempt(
-                self.call,
+            return self.call.attempt(
                 (goal,),
                 self._create_solution_handler(frame),
                 (_FAILURE_HANDLER, self, goal, frame),
                 self._create_error_handler(goal),
             )
-            return next_frame
         continuation: Frame = frame[1]
         return continuation
 

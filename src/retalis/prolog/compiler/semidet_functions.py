@@ -12,7 +12,6 @@ remaining clauses with the arguments at entry, and gives up if another clause ma
 
 from typing import Dict, Iterator, List, Optional, Sequence, Tuple
 
-from ..machine.machine import BAIL
 from ..terms.types import Functor, Term, Trail, functor
 from ..terms.unification import undo
 from .clause_nodes import (
@@ -29,6 +28,9 @@ from .clause_nodes import (
 from .code_scope import ClauseVariables, CompilationUnit, Scope
 from .inline_goals import write_sequence
 from .predicate_code import ClauseParts, PredicateGenerator, key_of, title_of
+
+BAIL = object()
+"""Result of the function of a `CompiledGoal` if the goal must be executed by frames instead."""
 
 _MAX_FUNCTION_CLAUSES = 8
 """Clauses of a predicate that can be a function."""

@@ -18,6 +18,7 @@ from ..compiler.code_scope import ClauseVariables, CompilationUnit, Scope
 from ..compiler.inline_goals import write_sequence
 from ..compiler.predicate_code import title_of
 from ..compiler.semidet_functions import (
+    BAIL,
     body_cost,
     calls_in,
     function_parser,
@@ -25,7 +26,7 @@ from ..compiler.semidet_functions import (
     mark_first_solution_calls,
 )
 from ..machine.errors import PrologError, from_python
-from ..machine.machine import BAIL, Code, OutputCollector
+from ..machine.machine import Code, OutputCollector
 from ..machine.resource_limits import LimitError
 from ..terms.term_traversal import copy, is_larger, resolve, variables
 from ..terms.types import Frame, Step, Term, Values, Var, deref, functor
@@ -37,6 +38,9 @@ if TYPE_CHECKING:
 
 _MAX_BAILS = 20
 """Number of calls of the function that return `BAIL` after which the goal only runs on the machine."""
+
+_CALL_WITH_OUTPUTS = Code("go on", lambda frame: frame[1](frame[2]))
+"""Code of a frame that calls a function with the outputs of a goal to get the next frame."""
 
 _OUTPUTS = functor("outputs", 0)
 _UNDO_AND_FAIL = "return undo(trail, mark)"
@@ -294,7 +298,7 @@ class CompiledGoal:
 
     def _generate_function(self, *values: Term) -> Any:
         # Generated at the first call, because the predicates that the goal calls may be defined after it. A goal from
-        # a client has no function: `Machine.attempt` calls functions without setting `Budget.goal`, from which
+        # a client has no function: `attempt` calls functions without setting `Budget.goal`, from which
         # `PrologSystem.require_flags` learns that the goal comes from a client.
         self.function = None if self.is_from_client else self._generator.generate_function()
         return BAIL if self.function is None else self.function(*values)
@@ -309,7 +313,7 @@ class CompiledGoal:
             # The first call raises the same error, with its caller as context.
             return
 
-    def count_bail(self) -> None:
+    def _count_bail(self) -> None:
         """Count a call of the function that returned `BAIL`; after `_MAX_BAILS` of them discard the function."""
         self._bail_count += 1
         if self._bail_count > _MAX_BAILS:
@@ -325,12 +329,42 @@ class CompiledGoal:
         code.run, code.keeps_choice_points = run, keeps_choice_points
         return self.code.run(frame)
 
-    def make_frame(self, values: Values, collector: Frame) -> Frame:
-        """Return the frame that runs the goal and passes its resolved outputs to a collector.
+    def attempt(
+        self,
+        values: Values,
+        then: Callable[[Values], Optional[Frame]],
+        otherwise: Optional[Frame],
+        on_error: Callable[[PrologError], None],
+    ) -> Optional[Frame]:
+        """Run the goal once as part of a run; return the next frame.
 
-        For each solution the frame calls ``collector[0].collect(collector, outputs)``, which returns the next frame.
+        The outputs of the first solution are resolved, its choice points and bindings are dropped, and the run
+        continues with ``then(outputs)``. If there is no solution, or the goal throws, it continues with
+        ``otherwise``.
+
+        Args:
+            values: values of the inputs, by position.
+            then: returns the next frame for the outputs.
+            otherwise: the next frame without a solution.
+            on_error: called with an error of the goal.
         """
-        return (self._output_code, *values, collector)
+        machine = self._machine
+        if self.function is not None and not machine.budget.needs_check:
+            mark = len(machine.trail)
+            try:
+                outputs = self.function(*values)
+            except Exception as exc:
+                undo(machine.trail, mark)
+                error = from_python(exc)
+                if error is None:
+                    raise
+                on_error(error)
+                return otherwise
+            if outputs is not BAIL:
+                # `then` is called by the loop, not here: it may make another attempt, which would recurse.
+                return otherwise if outputs is None else (_CALL_WITH_OUTPUTS, then, outputs)
+            self._count_bail()
+        return machine.attempt_by_frames(self, (self._output_code, *values), then, otherwise, on_error)
 
     def first_solution(self, values: Values) -> Optional[Values]:
         """Run the goal for its first solution.
@@ -356,7 +390,7 @@ class CompiledGoal:
                 result: Any = self._call_function(values)
                 if result is not BAIL:
                     return result  # type: ignore[no-any-return]
-                self.count_bail()
+                self._count_bail()
             return self._run(values)
         finally:
             budget.goal = outer_goal

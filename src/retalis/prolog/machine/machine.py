@@ -16,8 +16,8 @@ points until one handles the error. A deterministic loop can run for ever withou
 trail would grow without bound; `compact` removes the entries that no other object refers to.
 
 Python calls the machine in three ways: `Machine.run` (first solution, bindings kept), `Machine.check` (a test,
-bindings undone) and `Machine.solutions` (all solutions, one at a time). `Machine.attempt` runs a goal once within a
-run, without a nested loop.
+bindings undone) and `Machine.solutions` (all solutions, one at a time). `CompiledGoal.attempt` runs a goal once
+within a run, without a nested loop.
 """
 
 from sys import getrefcount
@@ -38,23 +38,6 @@ class OutputCollector(Protocol):
     def collect(self, frame: Frame, outputs: Values, /) -> Optional[Frame]:
         """Receive the outputs of a solution; return the next frame, or None to request the next solution."""
 
-
-class AttemptedGoal(Protocol):
-    """Goal that `Machine.attempt` runs: a `CompiledGoal`."""
-
-    @property
-    def function(self) -> Optional[Callable[..., Any]]:
-        """The goal as a function from inputs to outputs, or to `BAIL`; None if it has none."""
-
-    def count_bail(self) -> None:
-        """Count a call of the function that returned `BAIL`."""
-
-    def make_frame(self, values: Values, collector: Frame, /) -> Frame:
-        """Return the frame that runs the goal and passes its outputs to a collector."""
-
-
-BAIL = object()
-"""Result of the function of a `CompiledGoal` if the goal must be executed by frames instead."""
 
 LAST = object()
 """Yielded by a nondeterministic built-in at a solution that is known to be the last one."""
@@ -190,9 +173,6 @@ _FIRST_STEPS = (None,) * 16
 _FINISHED: Frame = (STOP, 1 << 62)
 """Choice point that `Machine.done` pushes before it fails. Leaving the loop in this way costs the other steps no
 test."""
-
-_CALL_WITH_OUTPUTS = Code("go on", lambda frame: frame[1](frame[2]))
-"""Code of a frame that calls a function with the outputs of a goal to get the next frame."""
 
 
 class MachineState(NamedTuple):
@@ -545,49 +525,29 @@ class Machine:
 
     # Attempts
 
-    def attempt(
+    def attempt_by_frames(
         self,
-        goal: AttemptedGoal,
-        values: Values,
+        goal: object,
+        goal_frame: Tuple[Any, ...],
         then: Callable[[Values], Optional[Frame]],
         otherwise: Optional[Frame],
         on_error: Callable[[PrologError], None],
-    ) -> Optional[Frame]:
-        """Run a goal once as part of a run; return the next frame.
-
-        The outputs of the first solution are resolved, its choice points and bindings are dropped, and the run
-        continues with ``then(outputs)``. If there is no solution, or the goal throws, it continues with
-        ``otherwise``.
+    ) -> Frame:
+        """Return the frame that runs a goal once as part of a run; see `CompiledGoal.attempt`.
 
         Args:
-            goal: the goal.
-            values: its inputs.
+            goal: the goal, for errors about limits.
+            goal_frame: the frame that runs the goal, without the collector at its end.
             then: returns the next frame for the outputs.
             otherwise: the next frame without a solution.
             on_error: called with an error of the goal.
         """
-        function = goal.function
-        if function is not None and not self.budget.needs_check:
-            mark = len(self.trail)
-            try:
-                outputs = function(*values)
-            except Exception as exc:
-                undo(self.trail, mark)
-                error = from_python(exc)
-                if error is None:
-                    raise
-                on_error(error)
-                return otherwise
-            if outputs is not BAIL:
-                # `then` is called by the loop, not here: it may make another attempt, which would recurse.
-                return otherwise if outputs is None else (_CALL_WITH_OUTPUTS, then, outputs)
-            goal.count_bail()
         # The choice point is pushed by a frame, as the run that it belongs to may not have started yet.
-        return (self._enter_code, goal, values, then, on_error, otherwise)
+        return (self._enter_code, goal, goal_frame, then, on_error, otherwise)
 
     def _enter_attempt(self, frame: Frame) -> Frame:
-        goal: AttemptedGoal
-        _, goal, values, then, on_error, otherwise = frame
+        goal_frame: Tuple[Any, ...]
+        _, goal, goal_frame, then, on_error, otherwise = frame
         choices = self.choices
         height = len(choices)
         budget = self.budget
@@ -595,7 +555,7 @@ class Machine:
         if budget.needs_check:
             budget.check_entry()
         budget.goal = goal
-        return goal.make_frame(values, (self._exit_code, height, then))
+        return (*goal_frame, (self._exit_code, height, then))
 
     def _attempt_failed(self, entry: Frame) -> Optional[Frame]:
         self.budget.goal = entry[1]
