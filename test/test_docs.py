@@ -98,6 +98,7 @@ CHECKS_OF_WHOLE_PROGRAMS = (
     "undefined",
     "retracted",
     "unbounded-keys",
+    "called-services",
 )
 """Checks with findings in a part of a program without its other parts."""
 
