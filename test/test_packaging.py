@@ -153,7 +153,10 @@ def test_wheel_has_package_and_examples(built: Any) -> None:
     assert set(metadata.get_all("Provides-Extra", [])) == {
         "dashboard",
         "dask",
+        "flink",
         "lsp",
+        "mcap",
+        "mqtt",
         "parquet",
         "plot",
         "s3",
