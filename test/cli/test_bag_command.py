@@ -90,6 +90,15 @@ def test_ros1_output_of_ros2_bag_is_warned_of(
     assert "becomes a bag" not in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("suffix", ["jsonl", "csv", "db3"])
+def test_output_with_suffix_of_other_format_is_refused(
+    bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], suffix: str
+) -> None:
+    assert main(["bag", str(bag), "--program", PROGRAM, "--output", str(tmp_path / f"out.{suffix}")]) == 1
+    assert "expected the name of a bag, out.bag or out.mcap; with --jobs, --format" in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_output_to_folder_needs_jobs(bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["bag", str(bag), "--program", PROGRAM, "--output", str(tmp_path)]) == 1
     assert f"--output {tmp_path} is a folder: expected a file; with --jobs," in capsys.readouterr().err

@@ -94,6 +94,7 @@ from .dask_cluster import (
 from .event_and_solution_printer import JSON_HELP, Printer, TimeOrigin, redirect_goal_output
 from .many_bags_options import (
     BAG_FORMATS,
+    FORMATS,
     add_many_bags_options,
     check_many_bags_options,
     requests_separate_runs,
@@ -127,6 +128,9 @@ log = logging.getLogger("retalis")
 
 MCAP_SUFFIX = ".mcap"
 """Suffix of bags of ROS 2 that are written."""
+
+_OTHER_SUFFIXES = (".db3", *(f".{name}" for name in FORMATS if name not in BAG_FORMATS))
+"""Suffixes of files that are no bags, or bags that cannot be written."""
 
 DESCRIPTION = """\
 Run a program over bags and print its outputs, as output(TERM,TOPIC) terms. Several bags are played as one,
@@ -587,6 +591,11 @@ def _open_output(
     if path.is_dir():
         raise UsageError(
             f"--output {path} is a folder: expected a file; with --jobs, each bag has one in a folder"
+        )
+    if path.suffix in _OTHER_SUFFIXES:
+        raise UsageError(
+            f"--output {path}: expected the name of a bag, {path.stem}.bag or {path.stem}{MCAP_SUFFIX}; "
+            "with --jobs, --format writes other files"
         )
     if path.exists() and not options.overwrite:
         raise UsageError(f"{path} already exists; --overwrite replaces it")
