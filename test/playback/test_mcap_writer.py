@@ -60,6 +60,21 @@ def test_rosbags_reads_definition_and_message(tmp_path: Path) -> None:
     assert store.hash_rihs01(schema.name) == get_typestore(Stores.LATEST).hash_rihs01(schema.name)
 
 
+def test_types_with_equal_texts_keep_their_names(tmp_path: Path) -> None:
+    path, names = tmp_path / "a.mcap", ["std_msgs/Bool", "my_msgs/Door", "std_msgs/Bool"]
+    definitions = Definitions()
+    definitions.add("my_msgs/Door", definitions.find("std_msgs/Bool").text)
+    with McapWriter(path) as bag:
+        for number, name in enumerate(names):
+            bag.write(bag.add(f"/t{number}", definitions.find(name), ANY_QUALITY), number, b"\0\1\0\0\1")
+    with open_bag(path) as reader:
+        assert [record.topic.type for record in reader.records()] == names
+    with path.open("rb") as file:
+        summary = make_reader(file).get_summary()
+    assert summary is not None
+    assert [schema.name for schema in summary.schemas.values()] == ["std_msgs/msg/Bool", "my_msgs/msg/Door"]
+
+
 @pytest.mark.parametrize(
     ("quality", "numbers"),
     [

@@ -67,7 +67,7 @@ class McapWriter(NewBag):
         self._mcap: Any = writer
         self._incomplete_files = incomplete_files
         self._file: Optional[BinaryIO] = None
-        self._schemas: Dict[str, int] = {}
+        self._schemas: Dict[Tuple[str, str], int] = {}
         super().__init__(path, overwrite)
 
     def _start(self, path: Path) -> None:
@@ -95,10 +95,23 @@ class McapWriter(NewBag):
             definition: its type.
             quality: the quality of service that ``ros2 bag play`` offers.
         """
-        type_name = ros2_type_name(definition.name)
-        if definition.full_text not in self._schemas:
+        with self._discarding_on_error():
+            schema = self._add_schema(topic, definition)
+            offer = _QUALITY_TEMPLATE.format(
+                depth=quality.depth or (1 if quality.is_transient_local else _DEFAULT_DEPTH),
+                reliability=2 if quality.is_reliable is False else 1,
+                durability=1 if quality.is_transient_local else 2,
+            )
+            return self._writer.register_channel(topic, "cdr", schema, {"offered_qos_profiles": offer})
+
+    def _add_schema(self, topic: str, definition: Definition) -> int:
+        """Add a type, unless it has been added; return its number."""
+        key = definition.name, definition.full_text
+        if key not in self._schemas:
             text = format_ros2_text(definition).encode()
-            self._schemas[definition.full_text] = self._writer.register_schema(type_name, "ros2msg", text)
+            self._schemas[key] = self._writer.register_schema(
+                ros2_type_name(definition.name), "ros2msg", text
+            )
             versions = _list_versions_with_other_slots(definition)
             if versions:
                 log.warning(
@@ -108,14 +121,7 @@ class McapWriter(NewBag):
                     definition.name,
                     ", ".join(versions),
                 )
-        offer = _QUALITY_TEMPLATE.format(
-            depth=quality.depth or (1 if quality.is_transient_local else _DEFAULT_DEPTH),
-            reliability=2 if quality.is_reliable is False else 1,
-            durability=1 if quality.is_transient_local else 2,
-        )
-        return self._writer.register_channel(
-            topic, "cdr", self._schemas[definition.full_text], {"offered_qos_profiles": offer}
-        )
+        return self._schemas[key]
 
     def write(self, topic: object, time: int, data: bytes) -> None:
         """Write a message in CDR, with its time in nanoseconds.
