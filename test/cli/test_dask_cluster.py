@@ -248,6 +248,15 @@ def test_loggers_of_dask_are_silent_during_run(
     assert [record.message for record in caplog.records] == ["after the run"]
 
 
+@pytest.mark.parametrize("found", ["2.8.1", "2022.03.0"])
+def test_old_distributed_is_refused(
+    monkeypatch: pytest.MonkeyPatch, listener: ClusterListener, found: str
+) -> None:
+    monkeypatch.setitem(sys.modules, "distributed", SimpleNamespace(__version__=found))
+    with pytest.raises(UsageError, match=f"needs version 2022.4 or later of .* distributed, found {found}"):
+        list(run_on_cluster(join, ["a"], ClusterOptions(ADDRESS), listener))
+
+
 def test_missing_distributed_is_named(monkeypatch: pytest.MonkeyPatch, listener: ClusterListener) -> None:
     monkeypatch.setitem(sys.modules, "distributed", None)
     with pytest.raises(UsageError, match="needs the Python package distributed"):

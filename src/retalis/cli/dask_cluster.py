@@ -59,6 +59,10 @@ _MAX_LISTED_WORKERS = 5
 """Maximum number of workers that an error names."""
 
 
+_OLDEST_VERSION = [2022, 4]
+"""Oldest version of distributed that is supported: year and month."""
+
+
 class ClusterError(UsageError):
     """A cluster that cannot be used, or is lost: no further task can be run."""
 
@@ -192,6 +196,15 @@ def _import_distributed() -> Any:
             "--scheduler needs the Python package distributed "
             f"({install_hint('distributed', 'python3-distributed')})"
         ) from None
+    found = str(getattr(distributed, "__version__", ""))
+    parts = [int(part) for part in found.split(".")[:2] if part.isdecimal()]
+    # Schedulers of older versions do not start with the present version of click, or never answer.
+    if parts and parts < _OLDEST_VERSION:
+        oldest = ".".join(map(str, _OLDEST_VERSION))
+        raise UsageError(
+            f"--scheduler needs version {oldest} or later of the Python package distributed, found {found} "
+            "(pip install --upgrade distributed)"
+        )
     return distributed
 
 
