@@ -155,7 +155,17 @@ def test_error_of_evaluation_does_not_end_publishing(transport: Any, listener: L
     assert reports.errors == 1
 
 
-TOPIC = InputStatus("/tf", "tf/tfMessage", 1, 0, 0, 0, 0, None, None)
+TOPIC = InputStatus(
+    topic="/tf",
+    type="tf/tfMessage",
+    publishers=1,
+    messages=0,
+    dropped=0,
+    refused=0,
+    missing=0,
+    age=None,
+    lag=None,
+)
 
 
 def engine_health(engine: Engine, now: float = 0.0, health: Any = None, **changed: Any) -> Dict[Any, Any]:

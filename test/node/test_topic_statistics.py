@@ -13,7 +13,17 @@ from retalis.node.topic_statistics import (
     unpublished_topic_warnings,
 )
 
-SCAN = InputStatus("/robot/scan", "sensor_msgs/LaserScan", 0, 0, 0, 0, 0, None, None)
+SCAN = InputStatus(
+    topic="/robot/scan",
+    type="sensor_msgs/LaserScan",
+    publishers=0,
+    messages=0,
+    dropped=0,
+    refused=0,
+    missing=0,
+    age=None,
+    lag=None,
+)
 OWN = {"/retalis", "/retalis_ros_interface"}
 
 

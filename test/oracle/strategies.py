@@ -349,7 +349,17 @@ class Generator:
                 f"{kind}@{self.choice(range(len(steps)))}" if self.chance(30) else kind for kind in kinds
             ]
             skip = self.skip(steps)
-            return Windowed(" ".join(kinds), below, values, results, "steps", 0, 0, make_list(steps), skip)
+            return Windowed(
+                kinds=" ".join(kinds),
+                collected=below,
+                values=values,
+                results=results,
+                window="steps",
+                span=0,
+                step=0,
+                steps=make_list(steps),
+                skip=skip,
+            )
         return Windowed(" ".join(kinds), below, values, results, window, span, step)
 
     def steps(self, bound: List[Var], are_numbers: bool = False) -> List[Term]:

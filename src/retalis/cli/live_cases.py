@@ -103,7 +103,9 @@ class _NodeSession:
             UsageError: if none returns.
         """
         name = self._node.name
-        output_topic = next((t for t in self._node.published_topics if t.endswith(f"/{OUTPUT}")), None)
+        output_topic = next(
+            (topic for topic in self._node.published_topics if topic.endswith(f"/{OUTPUT}")), None
+        )
         if output_topic is None:
             raise UsageError(f"node {name} publishes no {OUTPUT}")
         self._input_topic = output_topic[: -len(OUTPUT)] + INPUT

@@ -281,7 +281,8 @@ def _select_nearest(
             return False
         return distance(left, right) <= limit
 
-    heap = [(distance(i, i + 1), i, i + 1) for i in range(count - 1) if are_candidates(i, i + 1)]
+    neighbors = [(left, left + 1) for left in range(count - 1) if are_candidates(left, left + 1)]
+    heap = [(distance(left, right), left, right) for left, right in neighbors]
     heapify(heap)
     while heap:
         _, left, right = heappop(heap)

@@ -24,7 +24,17 @@ READING, OUTPUT_EVENT = functor("reading", 2), functor("found", 3)
 def rule_of(steps: Any, skip: str = PAST_LAST) -> str:
     """Return the rule that emits the values of each match with their key and their starts."""
     values, results = make_list([VALUE, atom("t1")]), make_list([RESULT, STARTS])
-    window = Windowed("list list", Leaf(READING(KEY, VALUE)), values, results, "steps", 0, 0, steps, skip)
+    window = Windowed(
+        kinds="list list",
+        collected=Leaf(READING(KEY, VALUE)),
+        values=values,
+        results=results,
+        window="steps",
+        span=0,
+        step=0,
+        steps=steps,
+        skip=skip,
+    )
     return write_rule(Rule(OUTPUT_EVENT(KEY, RESULT, STARTS), window))
 
 
@@ -119,7 +129,15 @@ def timeout_rule_of(steps: Any, span: int) -> str:
     """Return the rule that emits the values and step names of each timed-out match with their key."""
     values, results = make_list([VALUE, atom("step")]), make_list([RESULT, STARTS])
     window = Windowed(
-        "list list", Leaf(READING(KEY, VALUE)), values, results, "steps", span, 0, steps, "skip_to_next"
+        kinds="list list",
+        collected=Leaf(READING(KEY, VALUE)),
+        values=values,
+        results=results,
+        window="steps",
+        span=span,
+        step=0,
+        steps=steps,
+        skip="skip_to_next",
     )
     return write_rule(Rule(OUTPUT_EVENT(KEY, RESULT, STARTS), window))
 
