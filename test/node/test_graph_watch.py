@@ -137,10 +137,12 @@ def test_changes_are_events_of_program(network: MemoryNetwork, tmp_path: Path, m
     assert topics.count("/new_topic") == 1
 
 
-def test_graph_is_not_watched_without_subscription(network: MemoryNetwork, tmp_path: Path) -> None:
-    host = start(network, tmp_path, TOPICS.replace("ros_graph", "other"))
-    assert "/ros_graph" not in network.publications
-    host.transport.shut_down()
+def test_graph_is_watched_for_its_subscription_only(tmp_path: Path) -> None:
+    for topic, is_watched in (("ros_graph", True), ("other", False)):
+        network = MemoryNetwork()
+        host = start(network, tmp_path, TOPICS.replace("ros_graph", topic))
+        assert ("/ros_graph" in network.publications) is is_watched
+        host.transport.shut_down()
 
 
 def test_message_has_slots_of_change(network: MemoryNetwork, tmp_path: Path) -> None:

@@ -335,8 +335,12 @@ def test_program_without_services_needs_no_permission() -> None:
     assert "called-services" not in [finding.check for finding in run_checks(program)]
 
 
-@pytest.mark.parametrize("event", ["service_call", "service_reply", "service_failed"])
-def test_events_of_services_have_a_source(tmp_path: Path, event: str) -> None:
+@pytest.mark.parametrize(
+    ("event", "has_source"),
+    [("service_call", True), ("service_reply", True), ("service_failed", True), ("service_refused", False)],
+)
+def test_events_of_services_have_a_source(tmp_path: Path, event: str, has_source: bool) -> None:
     engine = Engine()
     engine.load(f"x(R) <- {event}(_, R, _).")
-    assert not [problem for problem in engine.warnings(tmp_path, Definitions()) if "producer" in str(problem)]
+    warnings = [problem for problem in engine.warnings(tmp_path, Definitions()) if "producer" in str(problem)]
+    assert bool(warnings) is not has_source

@@ -38,10 +38,12 @@ def test_instant_is_known_after_long_chain() -> None:
 
 
 def test_event_of_two_rules_is_instant_if_both_are() -> None:
+    assert len(messages_of(FIRST, "e1 <- e0. e1 <- e0. x <- e1 par e1.")) == 1
     assert messages_of(FIRST, "e1 <- e0. e1 <- e0 seq e0. x <- e1 par e1.") == []
 
 
 def test_recursive_events_are_no_instants() -> None:
+    assert len(messages_of(FIRST, "a <- b where true. b <- e0 where true. x <- a par b.")) == 1
     assert messages_of(FIRST, "a <- b where true. b <- a where true. x <- a par b.") == []
 
 

@@ -109,6 +109,7 @@ def test_negated_event_is_kept_for_late_partner(rule: str) -> None:
 
 def test_negated_parts_are_kept_for_late_partner() -> None:
     rule = "o <- ((a seq b) cnot (c seq d)) within 7."
+    assert outputs_of(rule, "c@10 b@14 c@18 a@8", "recent_2", ["out_of_order"]) == "o@8-14"
     assert outputs_of(rule, "c@10 b@14 c@18 d@12 a@8", "recent_2", ["out_of_order"]) == ""
 
 
@@ -405,6 +406,7 @@ def test_overlapping_event_excludes_late_match() -> None:
 
 def test_late_start_of_repetition_is_excluded() -> None:
     rule = "r([property(event_rule_window, 4)]) : o <- (b(_) seq c star_times) without d."
+    assert outputs_of(rule, "c@31 b(1)@13-17") == "o@13-17"
     assert outputs_of(rule, "c@31 d@13-17 b(1)@13-17") == ""
 
 

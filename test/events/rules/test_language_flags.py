@@ -220,7 +220,8 @@ def test_rule_has_own_out_of_order_property() -> None:
 
 def test_negated_event_is_kept_for_late_first_side() -> None:
     rules = "r([property(window,3),property(out_of_order,on)]) : c <- (a seq b) cnot d."
-    assert outputs_of(rules, "d@1 b@2 b@4 a@0") == ""
+    assert outputs_of(rules, "b@2 b@4 a@1") == "c@1-4"
+    assert outputs_of(rules, "d@1.5 b@2 b@4 a@1") == ""
 
 
 @pytest.mark.parametrize(
