@@ -1,14 +1,13 @@
 #!/usr/bin/env python3
-"""Five workloads in four systems: the engine, a handwritten loop, bytewax, and ROS message_filters.
+"""Five workloads in three systems: the engine, a handwritten loop, and ROS message_filters.
 
-    bench/outside.py [--work NAME ...] [--events N] [--runs N] [--bytewax PYTHON] [--ros PYTHON] [--json FILE]
-                     [--markdown]
+    bench/outside.py [--work NAME ...] [--events N] [--runs N] [--ros PYTHON] [--json FILE] [--markdown]
 
     keyed    for each key, b less than a minute after a; ten thousand keys wait
     absence  the same without a c in between
-    sliding  for each of a hundred keys, count and mean of the last ten seconds, at each reading; all systems but the
-             engine keep a running total of floats, in which rounding errors add up
-    exact    the same with an exact mean in all systems: the others sum the whole window with math.fsum
+    sliding  for each of a hundred keys, count and mean of the last ten seconds, at each reading; the loop
+             keeps a running total of floats, in which rounding errors add up
+    exact    the same with an exact mean in both systems: the loop sums the whole window with math.fsum
     pairs    l and r less than 50 ms apart, each used once
 
 All systems get the same streams, which are created before the measurement. Each run is its own process; the systems
@@ -130,7 +129,6 @@ def main(arguments: Optional[Sequence[str]] = None) -> int:
     parser.add_argument("--work", nargs="+", choices=STREAMS, default=list(STREAMS))
     parser.add_argument("--events", type=positive, default=200_000)
     parser.add_argument("--runs", type=positive, default=5)
-    parser.add_argument("--bytewax", type=interpreter, default=sys.executable, help="a Python that has it")
     parser.add_argument("--ros", type=interpreter, default="/usr/bin/python3", help="a Python that has rospy")
     parser.add_argument("--json", type=target)
     parser.add_argument("--markdown", action="store_true", help="write the table as the pages have it")
@@ -144,7 +142,7 @@ def main(arguments: Optional[Sequence[str]] = None) -> int:
             return MISSING
         return 0
     pythons = dict.fromkeys(SIDES, sys.executable)
-    pythons.update(bytewax=options.bytewax, message_filters=options.ros)
+    pythons["message_filters"] = options.ros
     found = {work: compare(work, pythons, options.events, options.runs) for work in options.work}
     print("\n".join(rows(found, options.markdown)))
     for work, figures in found.items():

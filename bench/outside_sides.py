@@ -229,71 +229,6 @@ def _pairs(emit: Emit) -> Callable[[StreamEvent], None]:
     return take
 
 
-def bytewax(work: str, events: List[StreamEvent], emit: Emit) -> Run:
-    """Return the function of a bytewax dataflow with a state per key. It has no operator for pairs without keys."""
-    # Before the import, so that the reason for the omission does not depend on the installation.
-    if work == "pairs":
-        raise ImportError(f"bytewax has nothing for {work}")
-    import bytewax.operators as op
-    from bytewax.dataflow import Dataflow
-    from bytewax.testing import TestingSource, run_main
-
-    if work in ("sliding", "exact"):
-        keyed = [(str(event[0]), event) for event in events]
-        step: Callable[[Any, StreamEvent], Tuple[Any, Any]] = _slide if work == "sliding" else _slide_exactly
-    else:
-        keyed, step = [(str(event[1]), event) for event in events], _follow
-    flow = Dataflow("outside")
-    stream = op.input("events", flow, TestingSource(keyed, batch_size=1000))
-    results = op.stateful_flat_map("match", stream, step)
-    op.inspect("results", results, lambda _, result: emit(*result[1]))
-    op.output("nowhere", results, _nowhere())
-    return lambda: run_main(flow)
-
-
-def _follow(begun: Any, event: StreamEvent) -> Tuple[Any, Any]:
-    kind, key, time = event
-    if kind == "a":
-        return time, ()
-    in_time = kind == "b" and begun is not None and time - begun < MINUTE
-    return None, ((key,),) if in_time else ()
-
-
-def _slide(state: Any, event: StreamEvent) -> Tuple[Any, Any]:
-    key, value, time = event
-    window, total = state or (deque(), 0.0)
-    window.append((time, value))
-    total += value
-    while time - window[0][0] >= TEN:
-        total -= window.popleft()[1]
-    return (window, total), ((key, len(window), total / len(window)),)
-
-
-def _slide_exactly(state: Any, event: StreamEvent) -> Tuple[Any, Any]:
-    key, value, time = event
-    times, values = state or (deque(), deque())
-    times.append(time)
-    values.append(value)
-    while time - times[0] >= TEN:
-        times.popleft()
-        values.popleft()
-    return (times, values), ((key, len(values), fsum(values) / len(values)),)
-
-
-def _nowhere() -> Any:
-    from bytewax.outputs import DynamicSink, StatelessSinkPartition
-
-    class Part(StatelessSinkPartition):
-        def write_batch(self, items: Any) -> None:
-            """Do nothing."""
-
-    class Nowhere(DynamicSink):
-        def build(self, *_: Any) -> Part:
-            return Part()
-
-    return Nowhere()
-
-
 def filters(work: str, events: List[StreamEvent], emit: Emit) -> Run:
     """Return the function of ROS's approximate time synchronizer, for pairs."""
     if work != "pairs":
@@ -322,6 +257,5 @@ def filters(work: str, events: List[StreamEvent], emit: Emit) -> Run:
 SIDES: Dict[str, Callable[[str, List[StreamEvent], Emit], Run]] = {
     "retalis": rules,
     "loop": loop,
-    "bytewax": bytewax,
     "message_filters": filters,
 }

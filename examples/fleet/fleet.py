@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
-"""The fleet as a job of Apache Flink, from a file of events to files of outputs.
+"""The fleet as a job of Apache Flink, from a file of events to files of results.
 
-fleet.py EVENTS OUTPUTS CHECKPOINTS [CHECKPOINT]    CHECKPOINT is one of CHECKPOINTS/*/chk-* to resume from
+fleet.py EVENTS RESULTS CHECKPOINTS [CHECKPOINT]    CHECKPOINT is one of CHECKPOINTS/*/chk-* to resume from
 """
 
 import sys
@@ -10,13 +10,12 @@ from pathlib import Path
 from retalis.fleet.flink_job import create_environment, read_file, run_robots, write_files
 
 
-def main(events, outputs, checkpoints, resume=None):
+def main(events, results, checkpoints, resume=None):
     """Run the job to the end of the events."""
     environment = create_environment(checkpoints, interval=1, resume=resume)
     streams = run_robots(read_file(environment, events), Path(__file__).resolve().parent)
-    write_files(streams.outputs, Path(outputs) / "outputs", "outputs")
-    write_files(streams.late, Path(outputs) / "late", "late")
-    write_files(streams.failed, Path(outputs) / "failed", "failed")
+    for name, lines in streams._asdict().items():
+        write_files(lines, Path(results) / name, name)
     environment.execute("fleet")
 
 

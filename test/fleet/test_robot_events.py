@@ -9,8 +9,8 @@ SECOND = 1_000_000_000
 
 
 def test_line_with_event_is_read() -> None:
-    line = '{"robot": "r07", "time": 12.5, "start": 12, "event": "carry(p)", "id": 4, "session": "a"}'
-    expected = RobotEvent("r07", 12_500_000_000, "carry(p)", 12 * SECOND, id=4, session="a")
+    line = '{"robot": "r07", "time": 12.5, "start": 12, "event": "carry(p)", "id": 4, "session": "a", "topic": "t"}'
+    expected = RobotEvent("r07", 12_500_000_000, "carry(p)", 12 * SECOND, "t", id=4, session="a")
     assert read_robot_event(line) == expected
 
 
@@ -44,6 +44,10 @@ def test_line_without_event_has_time_only() -> None:
         ('{"robot": "a", "time": 1, "event": 2}', "key 'event': expected a text, found '2'"),
         ('{"robot": "a", "time": 1, "start": 2, "event": "b"}', "key 'start': expected a time up to 'time'"),
         ('{"robot": "a", "time": 1, "topic": "b"}', "keys 'topic' and 'message': expected both or neither"),
+        (
+            '{"robot": "a", "time": 1, "event": "b", "message": {}}',
+            "keys 'event' and 'message': expected only one",
+        ),
         ('{"robot": "a", "time": 1, "id": 1.5}', "key 'id': expected a whole number from 0 to"),
         ('{"refused": "wrong topic", "payload": "x"}', "wrong topic"),
         (" " * (MAX_LINE_CHARACTERS + 1), "the line has 1000001 characters: expected 1000000 at most"),

@@ -11,30 +11,34 @@ watermark passes it; the watermark follows the newest event of all robots at a d
 import json
 import sys
 import time
-from collections import OrderedDict
+from collections import OrderedDict, deque
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, Dict, Iterator, NamedTuple, Optional, Union
+from typing import Any, Deque, Dict, Iterator, NamedTuple, Optional, Union
 
 from pyflink.common import Configuration, Duration, Types, WatermarkStrategy
 from pyflink.common.serialization import Encoder
 from pyflink.common.watermark_strategy import TimestampAssigner
 from pyflink.datastream import (
     DataStream,
+    FlatMapFunction,
     KeyedProcessFunction,
     OutputTag,
     ProcessFunction,
     RuntimeContext,
+    SourceFunction,
     StreamExecutionEnvironment,
     TimeDomain,
 )
 from pyflink.datastream.connectors.file_system import FileSink, FileSource, RollingPolicy, StreamFormat
 from pyflink.datastream.state import ListStateDescriptor, ValueStateDescriptor
+from pyflink.java_gateway import get_gateway
 
 from ..engine.engine_settings import Settings
 from ..foundation.errors import RetalisError, UsageError
 from ..prolog.terms.timestamps import SECOND, from_seconds
 from .line_log import START, LogReader, Position
+from .mqtt_bridge import Configure, create_client
 from .robot_engine import BEFORE_ALL, REFUSE, FleetProgram, RobotEngine, RobotOutput
 from .robot_events import read_robot_event
 
@@ -46,6 +50,9 @@ MAX_WATERMARK = (1 << 63) - 1
 
 POLL_MILLISECONDS = 100
 """Time between two reads of a log that has no new lines."""
+
+RECENT_LINES = 10_000
+"""Number of lines whose robots may lack a timer in a checkpoint: those that Flink passes to Python at once."""
 
 MAX_INPUT_CHARACTERS = 1_000_000
 """Length of the inputs since a snapshot at which a new one is stored."""
@@ -112,7 +119,7 @@ class LineChecker:
         self._latest = None if options.latest is None else from_seconds(options.latest)
         self._failed = context.get_metrics_group().counter("failed")
 
-    def read(self, line: str, position: Optional[str] = None, error: str = "") -> Any:
+    def check(self, line: str, position: Optional[str] = None, error: str = "") -> Any:
         """Return an element of the stream of events, or one of the stream of failures with its tag."""
         try:
             if error:
@@ -143,17 +150,20 @@ class CheckLines(ProcessFunction):
 
     def open(self, context: RuntimeContext) -> None:
         """Create the reader."""
-        self._reader = LineChecker(self._options, context)
+        self._checker = LineChecker(self._options, context)
 
     def process_element(self, line: str, context: ProcessFunction.Context) -> Iterator[Any]:
         """Yield an event or a failure."""
-        yield self._reader.read(line)
+        yield self._checker.check(line)
 
 
-class FollowLogs(KeyedProcessFunction):
-    """Reads the logs whose paths are its keys, and goes on when they grow.
+class FollowLog(KeyedProcessFunction):
+    """Reads a log, whose path is its key, and goes on when it grows.
 
-    The position of each log is keyed state, and a timer reads the next lines.
+    The position in the log is keyed state, and a timer reads the next lines. Flink registers a timer of a function
+    in Python a moment after the call, so that a checkpoint may lack those of the last elements. Therefore the input
+    is a clock, whose next tick starts a missing timer after a restore. For the same reason the state has the names of
+    the robots of the last lines: after a restore an element without a line lets `Robots` set their timers again.
 
     Args:
         options: options of the fleet.
@@ -164,27 +174,44 @@ class FollowLogs(KeyedProcessFunction):
 
     def open(self, context: RuntimeContext) -> None:
         """Declare the state."""
-        self._reader = LineChecker(self._options, context)
+        self._checker = LineChecker(self._options, context)
         self._position = context.get_state(ValueStateDescriptor("position", Types.STRING()))
+        self._recent = context.get_state(ValueStateDescriptor("recent", Types.STRING()))
+        self._timer: Optional[int] = None
+        self._robots: Deque[str] = deque(maxlen=RECENT_LINES)
 
-    def process_element(self, path: str, context: KeyedProcessFunction.Context) -> None:
-        """Begin to read a log."""
-        timers = context.timer_service()
-        timers.register_processing_time_timer(timers.current_processing_time())
+    def process_element(self, path: str, context: KeyedProcessFunction.Context) -> Iterator[Any]:
+        """Begin to read the log if this process does not read it yet; yield an element for each recent robot."""
+        if self._timer is not None:
+            return
+        self._set_timer(context, 0)
+        stored = self._recent.value()
+        self._robots.extend([] if stored is None else json.loads(stored))
+        for robot in dict.fromkeys(self._robots):
+            yield robot, 0, ""
 
     def on_timer(self, timestamp: int, context: KeyedProcessFunction.OnTimerContext) -> Iterator[Any]:
         """Yield the events and failures of the next lines."""
+        if timestamp != self._timer:
+            return  # of the process before
         stored = self._position.value()
         position = START if stored is None else Position.parse(stored)
         lines, next_position = LogReader(Path(context.get_current_key())).read(position)
         for line in lines:
-            yield self._reader.read(line.text, str(line.position), line.error)
+            element = self._checker.check(line.text, str(line.position), line.error)
+            if element[0] is not FAILED:
+                self._robots.append(element[0])
+            yield element
         if next_position != position:
             self._position.update(str(next_position))
+            self._recent.update(json.dumps(list(dict.fromkeys(self._robots))))
+        self._set_timer(context, 0 if lines else POLL_MILLISECONDS)
+
+    def _set_timer(self, context: KeyedProcessFunction.Context, delay: int) -> None:
         timers = context.timer_service()
-        # A timer of the present time lets Flink take a checkpoint first.
-        delay = 0 if lines else POLL_MILLISECONDS
-        timers.register_processing_time_timer(timers.current_processing_time() + delay)
+        # Each timer has another time, because Flink drops a timer that exists.
+        self._timer = max(timers.current_processing_time() + delay, (self._timer or 0) + 1)
+        timers.register_processing_time_timer(self._timer)
 
 
 class EventTime(TimestampAssigner):
@@ -203,14 +230,16 @@ class _Resident:
         input_count: number of inputs since the last snapshot.
         characters: length of these inputs.
         timer: time of the earliest known timer in milliseconds; None if there is none.
+        seen: time of use that is stored, in milliseconds; None if it is unknown.
         flush_limit: time in nanoseconds up to which alarms run after the end of the input.
     """
 
-    __slots__ = ("robot", "input_count", "characters", "timer", "flush_limit")
+    __slots__ = ("robot", "input_count", "characters", "timer", "seen", "flush_limit")
 
     def __init__(self, robot: RobotEngine, input_count: int, characters: int):
         self.robot, self.input_count, self.characters = robot, input_count, characters
         self.timer: Optional[int] = None
+        self.seen: Optional[int] = None
         self.flush_limit: Optional[int] = None
 
 
@@ -242,7 +271,14 @@ class Robots(KeyedProcessFunction):
     def process_element(self, value: Any, context: KeyedProcessFunction.Context) -> Iterator[Any]:
         """Process an event; yield outputs, or a failure or late event with its tag."""
         name, _, line = value
-        resident = self._find(name, context)
+        if not line and self._seen.value() is None:
+            return  # the state has been deleted
+        resident = self._find(name)
+        # Not for alarms: a robot that sends nothing is forgotten although its alarms repeat.
+        self._touch(resident, context)
+        if not line:
+            self._set_timer(resident, context)
+            return
         event = read_robot_event(line)
         try:
             result = resident.robot.process(event, _watermark(context))
@@ -276,7 +312,7 @@ class Robots(KeyedProcessFunction):
         if context.time_domain() == TimeDomain.PROCESSING_TIME:
             self._forget(name, context)
             return
-        resident = self._find(name, context)
+        resident = self._find(name)
         resident.timer = None
         robot, limit = resident.robot, timestamp * MILLISECOND
         if context.timer_service().current_watermark() == MAX_WATERMARK:
@@ -293,14 +329,13 @@ class Robots(KeyedProcessFunction):
         if resident.flush_limit is None or (robot.next_alarm or 0) <= resident.flush_limit:
             self._set_timer(resident, context)
 
-    def _find(self, name: str, context: KeyedProcessFunction.Context) -> _Resident:
+    def _find(self, name: str) -> _Resident:
         """Return a robot, which is restored or created if it is not in memory."""
         resident = self._residents.get(name)
         if resident is None:
             resident = self._residents[name] = self._restore()
             if len(self._residents) > self._options.max_engines:
                 self._residents.popitem(last=False)
-            self._touch(context)
         else:
             self._residents.move_to_end(name)
         return resident
@@ -343,15 +378,19 @@ class Robots(KeyedProcessFunction):
             context.timer_service().register_event_time_timer(timer)
             resident.timer = timer
 
-    def _touch(self, context: KeyedProcessFunction.Context) -> None:
+    def _touch(self, resident: _Resident, context: KeyedProcessFunction.Context) -> None:
         """Store that a robot is in use, unless that was stored recently."""
         timers = context.timer_service()
         now = timers.current_processing_time()
-        seen = self._seen.value()
-        if seen is None:
-            timers.register_processing_time_timer(now + self._forget_milliseconds)
-        if seen is None or now - seen > self._forget_milliseconds // 10:
+        if resident.seen is None:
+            resident.seen = self._seen.value()
+        elif now - resident.seen <= self._forget_milliseconds // 10:
+            return
+        if resident.seen is None or now - resident.seen > self._forget_milliseconds // 10:
+            resident.seen = now
             self._seen.update(now)
+        # Registered again in each process, as a checkpoint may lack it; Flink drops a timer that exists.
+        timers.register_processing_time_timer(resident.seen + self._forget_milliseconds)
 
     def _forget(self, name: str, context: KeyedProcessFunction.OnTimerContext) -> None:
         timers = context.timer_service()
@@ -419,8 +458,9 @@ def create_environment(
 
 
 def _url(path: Union[str, Path]) -> str:
+    # Flink writes `file:/path` for the path of a savepoint.
     text = str(path)
-    return text if "://" in text else Path(text).resolve().as_uri()
+    return text if ":/" in text else Path(text).resolve().as_uri()
 
 
 def find_newest_checkpoint(folder: Path) -> Optional[Path]:
@@ -462,18 +502,15 @@ def follow_log(
         path: folder of a log, or a file, which all machines can read.
         options: options of the fleet.
     """
-    # Flink has no source in Python. A folder with one file is a source that has one element and never ends, and the
-    # reader is a function with keyed state.
-    path = Path(path).resolve()
-    seed = path.parent / f".{path.name}.follow" / "path"
-    seed.parent.mkdir(exist_ok=True)
-    seed.write_text(f"{path}\n", encoding="utf-8")
-    builder = FileSource.for_record_stream_format(StreamFormat.text_line_format(), _url(seed.parent))
-    source = builder.monitor_continuously(Duration.of_hours(1)).build()
+    # Flink has no sources in Python, so a function with keyed state reads the log. A source that never ends is its
+    # clock: a random truth value each second.
+    name = str(Path(path).resolve())
+    datagen = get_gateway().jvm.org.apache.flink.streaming.api.functions.source.datagen
+    source = datagen.DataGeneratorSource(datagen.RandomGenerator.booleanGenerator(), 1, None)
     with _one_worker(environment):
-        paths = environment.from_source(source, WatermarkStrategy.no_watermarks(), "logs").uid("logs")
-        by_path = paths.key_by(lambda path: path, key_type=Types.STRING())
-        return by_path.process(FollowLogs(options), EVENT_TYPE).name("read").uid("read")
+        ticks = environment.add_source(SourceFunction(source), "clock", Types.BOOLEAN()).uid("clock")
+        by_path = ticks.map(lambda tick: name, Types.STRING()).key_by(lambda path: path, Types.STRING())
+        return by_path.process(FollowLog(options), EVENT_TYPE).name("read").uid("read")
 
 
 def run_robots(
@@ -520,3 +557,68 @@ def write_files(lines: DataStream, folder: Union[str, Path], name: str) -> None:
         RollingPolicy.on_checkpoint_rolling_policy()
     )
     lines.sink_to(sink.build()).name(name).uid(name)
+
+
+PUBLISH_TIMEOUT_SECONDS = 30.0
+"""Time in which the broker has to acknowledge an output."""
+
+
+class PublishLines(FlatMapFunction):
+    """Publishes lines to a broker of MQTT with quality of service 1, and waits for each acknowledgement.
+
+    Args:
+        host: host of the broker.
+        port: port of the broker.
+        topic: topic with ``{robot}`` for the name of the robot.
+        configure: configures the client of paho.
+    """
+
+    def __init__(self, host: str, port: int, topic: str, configure: Configure):
+        self._host, self._port, self._topic, self._configure = host, port, topic, configure
+
+    def open(self, context: RuntimeContext) -> None:
+        """Connect."""
+        self._client = create_client("", True)
+        self._configure(self._client)
+        self._client.connect(self._host, self._port)
+        self._client.loop_start()
+
+    def close(self) -> None:
+        """Disconnect."""
+        self._client.loop_stop()
+        self._client.disconnect()
+
+    def flat_map(self, line: str) -> Iterator[str]:
+        """Publish a line.
+
+        Raises:
+            RuntimeError: if the broker does not acknowledge it; the job then continues from its last checkpoint.
+        """
+        # In the name of a robot these characters would make it several levels, or a pattern.
+        robot = json.loads(line)["robot"].translate(str.maketrans("/+#", "___"))
+        topic = self._topic.replace("{robot}", robot)
+        message = self._client.publish(topic, line, qos=1)
+        message.wait_for_publish(PUBLISH_TIMEOUT_SECONDS)
+        if not message.is_published():
+            raise RuntimeError(f"MQTT: {self._host}:{self._port} did not acknowledge an output")
+        yield from ()
+
+
+def publish_mqtt(
+    lines: DataStream,
+    host: str,
+    port: int = 1883,
+    topic: str = "retalis/{robot}/outputs",
+    configure: Configure = lambda client: None,
+) -> None:
+    """Publish the outputs of a fleet to a broker of MQTT, at least once: receivers drop repetitions by the number.
+
+    Args:
+        lines: the outputs.
+        host: host of the broker.
+        port: port of the broker.
+        topic: topic with ``{robot}`` for the name of the robot.
+        configure: configures the client of paho, for example with a password and certificates.
+    """
+    published = lines.flat_map(PublishLines(host, port, topic, configure), Types.STRING())
+    published.name("publish").uid("publish")

@@ -6,7 +6,8 @@ A line is an object with these keys; a line without ``event`` and ``message`` on
 * ``time``: seconds since the epoch, a number
 * ``event``: the event as a term, a text
 * ``start``: start of an event with a duration, in seconds; by default ``time``
-* ``topic`` and ``message``: name of a topic that the program subscribes to, and the slots of a message
+* ``topic`` and ``message``: name of a topic that the program subscribes to, and the slots of a message. With an
+  event, the topic is the one on which the robot published it, and is ignored.
 * ``id`` and ``session``: number of the event, which grows by one from event to event of a session of the robot
 
 A bridge writes ``refused`` with a reason into lines that it has refused itself.
@@ -41,7 +42,7 @@ class RobotEvent(NamedTuple):
         instant: time in nanoseconds since the epoch.
         text: the event as a term; None if there is none.
         start: start of the event in nanoseconds; None if it has no duration.
-        topic: topic of the message; None if there is none.
+        topic: topic of the message or of the event; None if there is none.
         message: slots of the message.
         id: number of the event in its session; None if events are not numbered.
         session: name of the queue that numbers the events.
@@ -94,9 +95,9 @@ def read_robot_event(line: str, latest: Optional[int] = None) -> RobotEvent:
 
 
 def _check_combination(event: RobotEvent) -> None:
-    if event.text is not None and event.topic is not None:
-        raise UsageError("keys 'event' and 'topic': expected only one")
-    if (event.topic is None) != (event.message is None):
+    if event.text is not None and event.message is not None:
+        raise UsageError("keys 'event' and 'message': expected only one")
+    if event.text is None and (event.topic is None) != (event.message is None):
         raise UsageError("keys 'topic' and 'message': expected both or neither")
     if event.start is not None and (event.text is None or event.start > event.instant):
         raise UsageError("key 'start': expected a time up to 'time', and an event")

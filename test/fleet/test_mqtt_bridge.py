@@ -1,0 +1,37 @@
+"""Lines for the messages of a broker: events of a robot's own topic, and refusals with their reasons."""
+
+import json
+
+import pytest
+
+from retalis.fleet.mqtt_bridge import read_payload
+
+
+def test_event_of_own_topic_is_unchanged() -> None:
+    payload = b'{"robot": "r07", "time": 1}'
+    assert read_payload("retalis/r07/events", payload) == (payload.decode(), True)
+
+
+def test_event_of_several_lines_is_one_line() -> None:
+    line, is_event = read_payload("retalis/r07/events", b'{"robot": "r07",\n"time": 1}')
+    assert (line, is_event) == ('{"robot": "r07", "time": 1}', True)
+
+
+@pytest.mark.parametrize(
+    ("topic", "payload", "reason"),
+    [
+        ("retalis/r07/events", b'{"robot": "r08", "time": 1}', "expected an event of robot 'r07'"),
+        ("retalis/r07/events", b"[1]", "expected an event of robot 'r07'"),
+        ("retalis/r07/events", b"not json", "no JSON: Expecting value"),
+        ("retalis/r07/events", b"\xff", "no JSON: 'utf-8' codec"),
+        ("retalis/r07/events", b"[" * 100_000, "no JSON: maximum recursion depth"),
+        ("retalis/r07/events", b" " * 1_000_001, "1000001 bytes: expected 1000000 at most"),
+        ("retalis/r07/x/events", b"{}", "the topic is not that of a robot"),
+        ("retalis/r07/events", b'{"robot": "r07", "refused": "x"}', "expected an event of robot 'r07'"),
+    ],
+)
+def test_other_message_is_refused(topic: str, payload: bytes, reason: str) -> None:
+    line, is_event = read_payload(topic, payload)
+    assert not is_event
+    assert len(line) < 6000
+    assert json.loads(line)["refused"].startswith(f"topic '{topic}': {reason}")
