@@ -10,7 +10,8 @@ import time
 from pathlib import Path
 from typing import Any, Callable, List, Optional, Tuple
 
-from ..foundation.errors import UsageError, quote_shortened
+from ..foundation.displayed_text import quote_shortened
+from ..foundation.errors import UsageError
 from .line_log import LogWriter
 
 log = logging.getLogger("retalis")
