@@ -12,6 +12,7 @@ from subprocess_python_path import python_path
 
 from retalis.cli import command_line
 from retalis.cli.command_line import COMMANDS, main, make_parser
+from retalis.cli.result_partitions import parse_robot
 from retalis.cli.short_help_parser import ShortHelpParser
 
 SOURCES = Path(__file__).resolve().parents[2] / "src"
@@ -121,7 +122,7 @@ NUMERIC_OPTIONS = [
     (command, action.option_strings[0])
     for command, parser in parsers().items()
     for action in parser._actions
-    if action.option_strings and action.type not in (None, Path)
+    if action.option_strings and action.type not in (None, Path, parse_robot)
 ]
 
 
