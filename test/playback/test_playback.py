@@ -22,7 +22,12 @@ from retalis import (
     atom,
     deref,
 )
+from retalis.events.program.topic_configuration import ANY_QUALITY
 from retalis.events.rules import timer_service
+from retalis.messages.cdr_encoder import CdrEncoder
+from retalis.messages.type_definition import HEADER, SEPARATOR
+from retalis.playback.bag_locations import open_bag
+from retalis.playback.mcap_writer import McapWriter
 from retalis.playback.playback import MAX_RECORDED_QUERIES, RunRecorder
 from retalis.prolog.syntax.event_text import to_text
 
@@ -499,6 +504,29 @@ def test_output_type_is_found_in_bag(program: Any, bag: Any) -> None:
     outputs, _, _ = play(folder, path, problems)
     assert [output.definition.name for output in outputs] == ["my_msgs/Point"]
     assert [output.data is not None for output in outputs] == [True]
+
+
+def test_output_has_slots_of_ros2_bag(tmp_path: Path) -> None:
+    pytest.importorskip("mcap")
+    text = "Header header\nuint8 kind\nfloat32 a\nfloat32 b\nfloat32 c\nfloat32 range\nfloat32 variance\n"
+    definition = Definitions().add(
+        "sensor_msgs/Range", f"{text}{SEPARATOR}\nMSG: {HEADER}\nuint32 seq\ntime stamp\nstring frame_id\n"
+    )
+    term = parse_term("sensor_msgs__0__Range(std_msgs__0__Header(0,[1,0],'\"a\"'),0,0.5,0.5,0.5,0.5,0.25)")
+    with McapWriter(tmp_path / "in.mcap") as writer:
+        topic = writer.add("/sonar", definition, ANY_QUALITY)
+        writer.write(topic, 1, CdrEncoder(definition).encode(term))
+    folder = tmp_path / "republish"
+    folder.mkdir()
+    (folder / "pub_sub.xml").write_text(
+        '<publish_subscribe><subscribe_to name="sonar" msg_type="sensor_msgs/Range"/>'
+        '<publish_to name="again" msg_type="sensor_msgs/Range"/></publish_subscribe>'
+    )
+    goal = "subscribe(sensor_msgs__0__Range(_,_,_,_,_,_,_), [], _, again, a)\n"
+    (folder / "goalPredicates.txt").write_text(goal)
+    with open_bag(tmp_path / "in.mcap") as bag:
+        (output,) = Playback(folder, fail, bag=bag).run(bag)
+    assert output.data is not None
 
 
 def test_output_of_unknown_type_is_an_error(program: Any, bag: Any) -> None:

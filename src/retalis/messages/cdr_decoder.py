@@ -18,7 +18,7 @@ then two.
 from array import array
 from struct import Struct
 from struct import error as StructError
-from typing import Callable, Dict, List, Optional, Tuple
+from typing import Any, Callable, Dict, List, Optional, Tuple
 
 from ..foundation import codegen
 from ..foundation.bounded_caches import Cache
@@ -135,6 +135,21 @@ def _slot_layout(slot: Field) -> Optional[Tuple[str, int]]:
 def cdr_slots(definition: Definition) -> Tuple[Field, ...]:
     """Return the slots that a message has in CDR: those of the type, without ``seq`` of a header."""
     return definition.fields[1:] if definition.name == HEADER else definition.fields
+
+
+def list_slot_types(definition: Definition) -> List[Tuple[Any, ...]]:
+    """Return the types of the slots in CDR, without their names: types with equal lists have equal messages."""
+    return [
+        (
+            slot.length,
+            slot.is_wide,
+            # A `byte` has a sign in ROS 1 only, which its bits do not show.
+            {"byte": "uint8", "char": "uint8"}.get(slot.type, slot.type)
+            if slot.definition is None
+            else list_slot_types(slot.definition),
+        )
+        for slot in cdr_slots(definition)
+    ]
 
 
 def _has_wide_strings(definition: Definition) -> bool:

@@ -56,6 +56,9 @@ from .type_definition import (
     warn_of_ignored_constants,
 )
 
+_ROSBAGS_SOURCE = "rosbags"
+"""Source of the types that the package ``rosbags`` provides, those of ROS 1."""
+
 _ROS_FOLDER = "/opt/ros"
 _SHARE_FOLDERS = ("/usr/share", "/usr/local/share")
 _MAX_FOLDER_DEPTH = 4
@@ -410,7 +413,7 @@ def _read_rosbags_type(package: str, type_name: str) -> Optional[InstalledType]:
             raise
         return None
     # Versions for Python 3.8 write the constants of type byte so, and its slots as byte.
-    return InstalledType(f"\n{text}".replace("\noctet ", "\nbyte ")[1:], "rosbags")
+    return InstalledType(f"\n{text}".replace("\noctet ", "\nbyte ")[1:], _ROSBAGS_SOURCE)
 
 
 _FALLBACK_DEFINITIONS = {
@@ -714,6 +717,15 @@ class Definitions:
             new_encoder = CdrEncoder(definition) if is_cdr else Encoder(definition)
             encoder = self._encoders.store(key, new_encoder, size)
         return encoder
+
+    def is_from_rosbags(self, name: str) -> bool:
+        """Return whether a type is not installed, but the package ``rosbags`` has that of ROS 1.
+
+        >>> Definitions().is_from_rosbags("my_robot/Unknown")
+        False
+        """
+        installed_type = self._installed.find(ros1_type_name(name))
+        return installed_type is not None and installed_type.source == _ROSBAGS_SOURCE
 
     def misspelt(self, name: str) -> str:
         """Return a known type with a similar name, as a suggestion for an unknown one; "" if there is none.

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, BinaryIO, Dict, List, Mapping, Optional, Sequence, Tuple
 
 from ..events.program.topic_configuration import QualityOfService
-from ..messages.cdr_decoder import cdr_slots
+from ..messages.cdr_decoder import list_slot_types
 from ..messages.ros2_definitions import format_ros2_text, ros2_type_name
 from ..messages.type_definition import Definition
 from ..messages.type_registry import parse_ros2_type
@@ -137,27 +137,13 @@ def _list_versions_with_other_slots(definition: Definition) -> List[str]:
     """Return the versions of ROS 2 since Humble that have a type of this name with other slots."""
     typesys = import_rosbags("typesys")
     name = ros2_type_name(definition.name)
-    layout = _list_slot_types(definition)
+    layout = list_slot_types(definition)
     stores = [store for store in typesys.Stores if store.name.startswith("ROS2_")]
     versions = []
     for store in stores[stores.index(typesys.Stores.ROS2_HUMBLE) :]:
         types = typesys.get_typestore(store)
         if name in types.types:
             text, _ = types.generate_msgdef(name, ros_version=2)
-            if _list_slot_types(parse_ros2_type(name, text, lambda nested: None)) != layout:
+            if list_slot_types(parse_ros2_type(name, text, lambda nested: None)) != layout:
                 versions.append(store.name[len("ROS2_") :].capitalize())
     return versions
-
-
-def _list_slot_types(definition: Definition) -> List[Tuple[Any, ...]]:
-    """Return the types of the slots in CDR, without their names."""
-    return [
-        (
-            slot.length,
-            slot.is_wide,
-            {"byte": "uint8", "char": "uint8"}.get(slot.type, slot.type)
-            if slot.definition is None
-            else _list_slot_types(slot.definition),
-        )
-        for slot in cdr_slots(definition)
-    ]

@@ -68,6 +68,7 @@ from ..foundation.errors import MessageError, ProgramErrors, RetalisError, Usage
 from ..foundation.interrupts import check_interrupt, interruptible
 from ..foundation.ros_name_checks import ros1_type_name, topic_fault, type_fault
 from ..messages.action_events import ACTION_EVENTS, find_action_event
+from ..messages.cdr_decoder import list_slot_types
 from ..messages.decoder import Decoder
 from ..messages.transform_messages import TRANSFORM_TOPICS
 from ..messages.type_definition import Definition, SerializationFormat
@@ -549,8 +550,15 @@ class Playback:
         """Register the unknown types of a bag; errors are reported when the bag is played."""
         for topic in topics:
             try:
-                # Adds the type if it is unknown; the definition is not needed here.
-                self.definitions.received(topic.type, topic.type, topic.definition, topic.md5sum)
+                # Adds the type if it is unknown.
+                definition = self.definitions.received(topic.type, topic.type, topic.definition, topic.md5sum)
+                # The types of rosbags are those of ROS 1. If that of ROS 2 has other slots, outputs have these, too.
+                if (
+                    topic.format is SerializationFormat.CDR
+                    and self.definitions.is_from_rosbags(topic.type)
+                    and list_slot_types(definition) != list_slot_types(self.definitions.find(topic.type))
+                ):
+                    self.definitions.add(topic.type, topic.definition)
             except MessageError as error:
                 log.debug("%s", error)
 
