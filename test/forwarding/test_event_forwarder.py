@@ -1,19 +1,25 @@
 """Forwarding to a real broker that is killed, stopped, restarted or refuses the connection."""
 
+import json
+import os
+import shutil
 import signal
 import subprocess
 import sys
 import threading
 import time
+from contextlib import suppress
 from pathlib import Path
 from random import Random
-from typing import Any, List
+from typing import Any, Iterator, List
 
 import pytest
 from forwarding.mosquitto import NEEDS_BROKER, Broker, wait_until
 
+from retalis.fleet.robot_events import read_robot_event
 from retalis.forwarding.disk_queue import DiskQueue, ForwardedEvent
 from retalis.forwarding.event_forwarder import MAX_EVENT_CHARACTERS, EventForwarder
+from retalis.forwarding.mqtt_sender import KEEPALIVE_SECONDS, MAX_RETRY_SECONDS
 
 pytestmark = [pytest.mark.slow, NEEDS_BROKER]
 
@@ -39,6 +45,8 @@ def test_events_arrive_in_order(broker: Broker, forward: Any) -> None:
     assert (last["start"], last["time"]) == (1.5, 1.500000999)
     assert {event["session"] for event in subscriber.events[1:]} == {session}
     assert [event["id"] for event in subscriber.events] == list(range(1, 1001))
+    # The fleet's side accepts the lines.
+    assert read_robot_event(json.dumps(last)).text == "alarm(999)"
     wait_until(lambda: not forwarder.status().queued, "confirmations")
     status = forwarder.status()
     assert (status.confirmed, status.lost, status.repeated, status.connections) == (1000, 0, 0, 1)
@@ -265,3 +273,123 @@ def test_slow_disk_drops_oldest_events(broker: Broker, forward: Any, monkeypatch
     # The receiver notices the loss by the gap of the ids.
     assert subscriber.events[-1]["id"] == 11_000
     assert forwarder.status().storage_problem == ""
+
+
+@pytest.fixture
+def small_disk(tmp_path: Path) -> Iterator[Path]:
+    """Return a folder on a disk of 3 MB, which can be filled."""
+    folder = tmp_path / "disk"
+    folder.mkdir()
+    command = ["mount", "-t", "tmpfs", "-o", "size=3m", "tmpfs", str(folder)]
+    if subprocess.run(command, stderr=subprocess.DEVNULL, check=False).returncode:
+        pytest.skip("needs the permission to mount a file system")
+    yield folder
+    subprocess.run(["umount", "--lazy", str(folder)], check=True)
+
+
+def test_full_disk_drops_events_until_there_is_space(
+    create_broker: Any, forward: Any, small_disk: Path
+) -> None:
+    ballast = small_disk / "ballast"
+    ballast.write_bytes(b"x" * 1_500_000)
+    broker = create_broker()
+    forwarder = forward(broker.url, small_disk / "queue.db")
+    texts = [f"alarm({number},'{'x' * 1000}')" for number in range(3000)]
+    for text in texts[:2000]:
+        forwarder.put(ForwardedEvent(1, 1, text))
+    wait_until(lambda: forwarder.status().storage_problem, "a full disk")
+    assert forwarder.status().storage_problem.endswith("database or disk is full")
+    assert forwarder.status().unstored > 0
+    # What is stored is sent, also if the disk is still full.
+    broker.start()
+    subscriber = broker.subscribe()
+    wait_until(lambda: not forwarder.status().queued, "confirmations")
+    ballast.unlink()
+    for text in texts[2000:]:
+        forwarder.put(ForwardedEvent(1, 1, text))
+    wait_until(lambda: subscriber.events[-1:] and subscriber.events[-1]["id"] == 3000, "the last event")
+    status = forwarder.status()
+    assert (status.storage_problem, status.damaged_files) == ("", 0)
+    ids = [event["id"] for event in subscriber.events]
+    assert len(ids) == len(set(ids)) == 3000 - status.unstored
+    assert [event["event"] for event in subscriber.events] == [texts[id - 1] for id in ids]
+
+
+def test_node_starts_with_full_disk(broker: Broker, forward: Any, small_disk: Path) -> None:
+    ballast = small_disk / "ballast"
+    with ballast.open("wb") as file, suppress(OSError):
+        file.write(b"x" * 4_000_000)
+    subscriber = broker.subscribe()
+    forwarder = forward(broker.url, small_disk / "queue.db")
+    put(forwarder, 1)
+    wait_until(lambda: forwarder.status().unstored == 1, "a full disk")
+    ballast.unlink()
+    put(forwarder, 2)
+    subscriber.wait_for(1)
+    assert list(subscriber.identified().values()) == ["alarm(2)"]
+    assert forwarder.status().storage_problem == ""
+
+
+@pytest.fixture
+def network(tmp_path: Path) -> Iterator[Any]:
+    """Return the words before a command in another network namespace, the broker's address there, and the link."""
+    name = f"rt{os.getpid()}"
+    link = f"{name}a"
+    if shutil.which("ip") is None or subprocess.run(["ip", "netns", "add", name], check=False).returncode:
+        pytest.skip("needs ip (iproute2), and the permission to create network namespaces")
+    prefix = ["ip", "netns", "exec", name]
+    for command in (
+        ["ip", "link", "add", link, "type", "veth", "peer", "name", "peer", "netns", name],
+        ["ip", "address", "add", "10.213.7.1/24", "dev", link],
+        ["ip", "link", "set", link, "up"],
+        [*prefix, "ip", "address", "add", "10.213.7.2/24", "dev", "peer"],
+        [*prefix, "ip", "link", "set", "peer", "up"],
+        [*prefix, "ip", "link", "set", "lo", "up"],
+    ):
+        subprocess.run(command, check=True)
+    yield prefix, "10.213.7.2", link
+    subprocess.run(["ip", "netns", "delete", name], check=True)
+
+
+def set_link(link: str, state: str) -> None:
+    subprocess.run(["ip", "link", "set", link, state], check=True)
+
+
+def test_events_wait_for_network(create_broker: Any, forward: Any, network: Any) -> None:
+    prefix, address, link = network
+    broker = create_broker(prefix=prefix, address=address)
+    broker.start()
+    subscriber = broker.subscribe()
+    forwarder = forward(broker.url)
+    put(forwarder, 0)
+    subscriber.wait_for(1)
+    set_link(link, "down")
+    put(forwarder, *range(1, 500))
+    wait_until(lambda: forwarder.status().queued == 499, "stored events")
+    set_link(link, "up")
+    subscriber.wait_for(500)
+    assert [event["event"] for event in subscriber.events] == texts_of(range(500))
+
+
+@pytest.mark.nightly
+def test_silent_network_ends_connection(create_broker: Any, forward: Any, network: Any) -> None:
+    prefix, address, link = network
+    broker = create_broker(prefix=prefix, address=address)
+    broker.start()
+    subscriber = broker.subscribe()
+    forwarder = forward(broker.url)
+    put(forwarder, 0)
+    subscriber.wait_for(1)
+    set_link(link, "down")
+    put(forwarder, *range(1, 500))
+    for _ in range(4):
+        time.sleep(KEEPALIVE_SECONDS)
+        if not forwarder.status().is_connected:
+            break
+    assert not forwarder.status().is_connected
+    set_link(link, "up")
+    for _ in range(3):
+        # The next attempt to connect may be half a minute away.
+        time.sleep(MAX_RETRY_SECONDS / 2)
+    subscriber.wait_for(500)
+    assert list(subscriber.identified().values()) == texts_of(range(500))

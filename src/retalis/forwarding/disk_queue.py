@@ -14,7 +14,7 @@ import os
 import sqlite3
 import threading
 from pathlib import Path
-from typing import Any, Callable, List, NamedTuple, Optional, Sequence, TypeVar
+from typing import Any, Callable, List, NamedTuple, Optional, Sequence, Tuple, TypeVar
 
 from ..foundation.errors import RetalisError, UsageError
 from ..foundation.output_files import set_aside
@@ -39,13 +39,21 @@ _ROW_OVERHEAD_BYTES = 30
 _MIN_DROPPED_EVENTS = 100
 """Number of events that are dropped together: single rows release no page."""
 
+_MAX_DELETED_EVENTS = 1000
+"""Number of confirmed events that are deleted in one transaction, so that it needs little space on the disk."""
+
 _MAX_UNUSED_PAGES = 250
 """Number of unused pages up to which the file of an empty queue is not shortened."""
 
 _SETTINGS = (
     "PRAGMA journal_mode = WAL",
     "PRAGMA synchronous = FULL",
-    "PRAGMA journal_size_limit = 4000000",
+    # On a full disk, the file can use its own free pages again when the log has been copied into it. This needs as
+    # much space as the log has, so the log is short.
+    "PRAGMA wal_autocheckpoint = 100",
+    "PRAGMA journal_size_limit = 1000000",
+    # Some distributions overwrite deleted data by default, which writes each page twice.
+    "PRAGMA secure_delete = OFF",
 )
 
 _TABLES = (
@@ -95,7 +103,7 @@ class DiskQueue:
 
     Args:
         path: the file, which is created if it does not exist.
-        max_bytes: limit for the size of the file, without its write-ahead log of up to 5 MB.
+        max_bytes: limit for the size of the file, without its write-ahead log of up to 1 MB.
         max_events: limit for the number of events.
         on_damage: called with the error if a file is damaged.
 
@@ -145,9 +153,8 @@ class DiskQueue:
         """
         with self._lock:
             try:
-                dropped_count = self._run(lambda database: self._append(database, events))
-                # The transaction has deleted the confirmed events, too.
-                self._undeleted_count = 0
+                dropped_count, deleted_count = self._run(lambda database: self._append(database, events))
+                self._undeleted_count = max(0, self._undeleted_count - deleted_count)
                 self.count += len(events) - dropped_count
                 return dropped_count
             finally:
@@ -199,8 +206,7 @@ class DiskQueue:
         """
         with self._lock:
             if self._undeleted_count:
-                self._run(self._delete_confirmed)
-                self._undeleted_count = 0
+                self._delete_all_confirmed()
             elif not self.count and self._database is not None:
                 self._run(self._shorten)
 
@@ -208,8 +214,7 @@ class DiskQueue:
         """Delete confirmed events, and close the file."""
         with self._lock:
             try:
-                if self._undeleted_count:
-                    self._run(self._delete_confirmed)
+                self._delete_all_confirmed()
             except QueueFailed:
                 # Confirmed events that are still in the file are sent again, and receivers drop them.
                 pass
@@ -252,26 +257,35 @@ class DiskQueue:
         elif database.in_transaction:
             database.execute("ROLLBACK")
 
-    def _append(self, database: sqlite3.Connection, events: Sequence[ForwardedEvent]) -> int:
-        self._delete_confirmed(database)
-        count = self.count + len(events)
+    def _append(self, database: sqlite3.Connection, events: Sequence[ForwardedEvent]) -> Tuple[int, int]:
+        """Store events; return the numbers of dropped and of deleted ones."""
+        deleted_count, dropped_count = self._delete_confirmed(database), 0
         # Rows of half a page waste nearly as much again.
         size = 2 * sum(_ROW_OVERHEAD_BYTES + len(event.text) for event in events)
-        dropped_count = 0
-        while count - dropped_count > self._max_events or _used_bytes(database) + size > self._max_bytes:
-            # Events in flight are the oldest, and will probably be delivered.
-            dropped_rows = database.execute(
-                "DELETE FROM events WHERE id IN (SELECT id FROM events WHERE id > ? ORDER BY id LIMIT ?)",
-                (self._in_flight_id, max(_MIN_DROPPED_EVENTS, len(events))),
-            ).rowcount
-            if not dropped_rows:
+        while (
+            self.count + len(events) - dropped_count > self._max_events
+            or _used_bytes(database) + size > self._max_bytes
+        ):
+            batch_count = self._delete_confirmed(database)
+            deleted_count += batch_count
+            if batch_count:
+                continue
+            batch_count = self._drop_oldest(database, max(_MIN_DROPPED_EVENTS, len(events)))
+            dropped_count += batch_count
+            if not batch_count:
                 break
-            dropped_count += dropped_rows
         database.executemany(
             "INSERT INTO events (id, start, end, text) VALUES (?, ?, ?, ?)",
             ((id, *event) for id, event in enumerate(events, self._next_id)),
         )
-        return dropped_count
+        return dropped_count, deleted_count
+
+    def _drop_oldest(self, database: sqlite3.Connection, count: int) -> int:
+        """Delete the oldest events that are not in flight: those in flight are older, and will probably arrive."""
+        return database.execute(
+            "DELETE FROM events WHERE id IN (SELECT id FROM events WHERE id > ? ORDER BY id LIMIT ?)",
+            (self._in_flight_id, count),
+        ).rowcount
 
     def _take(self, database: sqlite3.Connection, max_events: int, max_bytes: int) -> List[QueuedEvent]:
         taken: List[QueuedEvent] = []
@@ -290,8 +304,20 @@ class DiskQueue:
             self._in_flight_id = taken[-1].id
         return taken
 
-    def _delete_confirmed(self, database: sqlite3.Connection) -> None:
-        database.execute("DELETE FROM events WHERE id <= ?", (self._confirmed_id,))
+    def _delete_confirmed(self, database: sqlite3.Connection) -> int:
+        """Delete some confirmed events; return their number."""
+        if not self._undeleted_count:
+            return 0
+        return database.execute(
+            "DELETE FROM events WHERE id IN (SELECT id FROM events WHERE id <= ? ORDER BY id LIMIT ?)",
+            (self._confirmed_id, _MAX_DELETED_EVENTS),
+        ).rowcount
+
+    def _delete_all_confirmed(self) -> None:
+        while self._undeleted_count:
+            deleted_count = self._run(self._delete_confirmed)
+            # There are none if the file has been replaced.
+            self._undeleted_count = max(0, self._undeleted_count - deleted_count) if deleted_count else 0
 
     @staticmethod
     def _shorten(database: sqlite3.Connection) -> None:

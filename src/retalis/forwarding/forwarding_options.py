@@ -57,7 +57,9 @@ def read_broker(url: str) -> Broker:
         raise UsageError(f"{quote_shortened(url)} is not the address of a broker: {error}") from error
     if parts.password is not None:
         # Command lines and parameters are visible to all users.
-        raise UsageError("a password in the address is visible to all users: write it into a file")
+        raise UsageError(
+            "a password in the address is visible to all users: write it into the file of forward_password"
+        )
     if (
         parts.scheme not in _PORTS
         or not parts.hostname

@@ -39,7 +39,7 @@ from .latched_deduplication import LatchedConnection
 from .node_dashboard import NodeDashboard
 from .output_forwarding import OutputForwarding
 from .parameters import DEFAULT_WATCHDOG_SECONDS, Parameters
-from .published_topics import OutputRelay
+from .published_topics import OutputRelay, TextOnlyOutputs
 from .running_program import OutputCallbacks, ProgramContext, RunningProgram, make_event_handler
 from .service_caller import ServiceCaller
 from .services import (
@@ -142,7 +142,7 @@ class ProgramHost:
             self.engine,
             self._processing,
             ReadingOptions(parameters.queue),
-            OutputCallbacks(outputs),
+            OutputCallbacks(outputs, TextOnlyOutputs(self._reports, self._is_forwarded).report),
         )
         self._program.accept_requests(requests.put)
         self._published, self._subscribed = self._program.published, self._program.subscribed
@@ -206,6 +206,9 @@ class ProgramHost:
         self._transport.on_shutdown(forwarding.stop)
         return forwarding
 
+    def _is_forwarded(self, topic: str) -> bool:
+        return self._forwarding is not None and self._forwarding.includes(topic)
+
     # ---- the program
 
     def _load(self) -> None:
@@ -261,7 +264,7 @@ class ProgramHost:
         )
 
     def _send_text(self, term: Term, topic: str, name: Term) -> None:
-        if self._forwarding is None or not self._forwarding.includes(topic):
+        if not self._is_forwarded(topic):
             # A rule may have added a subscription to a new topic.
             self._program.untyped_topics.check(topic)
         self._texts.send_output(term, topic, name)

@@ -226,10 +226,12 @@ class TextOnlyOutputs:
 
     Args:
         reports: receives the warnings.
+        is_forwarded: returns whether the outputs of a topic are also forwarded, so that it needs no type.
     """
 
-    def __init__(self, reports: Reports):
+    def __init__(self, reports: Reports, is_forwarded: Callable[[str], bool] = lambda topic: False):
         self._reports = reports
+        self._is_forwarded = is_forwarded
         self._logged_topics: Set[str] = set()
 
     def report(self, topic: str, message_type: Optional[str]) -> None:
@@ -247,6 +249,7 @@ class TextOnlyOutputs:
             len(self._logged_topics) < MAX_UNTYPED_TOPICS_NAMED
             and topic not in self._logged_topics
             and not topic.startswith(WATCH)
+            and not self._is_forwarded(topic)
         ):
             self._logged_topics.add(topic)
             log.info(
