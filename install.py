@@ -168,16 +168,19 @@ SWI_PACKAGE = "swi-prolog-nox"
 TEST_SHELLS = ("fish", "zsh")
 """Packages of the shells beside bash whose completion is tested."""
 
+TEST_BROKER = ("mosquitto", "mosquitto-clients", "python3-paho-mqtt")
+"""Packages of a broker of MQTT and of its clients."""
+
 # The tests open pages in a browser.
 DEBIAN_12 = Platform(
-    "Debian 12", [*_COMMON.split(), *_DEBIAN.split()], test_packages=["chromium", *TEST_SHELLS]
+    "Debian 12", [*_COMMON.split(), *_DEBIAN.split()], test_packages=["chromium", *TEST_SHELLS, *TEST_BROKER]
 )
 
 # No browser: Ubuntu's package chromium-browser installs a snap, which containers cannot run.
 UBUNTU_20_04 = Platform(
     "Ubuntu 20.04",
     [*_COMMON.split(), *("ros-noetic-" + name for name in _NOETIC.split())],
-    test_packages=TEST_SHELLS,
+    test_packages=[*TEST_SHELLS, *TEST_BROKER],
     setup="/opt/ros/noetic/setup.bash",
     source=f"deb [signed-by={KEY_FILE}] http://packages.ros.org/ros/ubuntu focal main",
 )

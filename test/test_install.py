@@ -648,11 +648,11 @@ def test_swi_prolog_is_installed_on_request(install: ModuleType, packages: Any) 
         assert packages(platform) == platform.packages
 
 
-def test_shells_and_browser_are_installed_for_tests(install: ModuleType, packages: Any) -> None:
+def test_shells_browser_and_broker_are_installed_for_tests(install: ModuleType, packages: Any) -> None:
     debian, ubuntu = install.DEBIAN_12, install.UBUNTU_20_04
-    assert packages(debian, "test") == [*debian.packages, "chromium", "fish", "zsh"]
-    assert packages(debian, "test", "--with-swi")[-2:] == ["zsh", "swi-prolog-nox"]
-    assert packages(ubuntu, "test") == [*ubuntu.packages, "fish", "zsh"]
+    assert packages(debian, "test") == [*debian.packages, "chromium", "fish", "zsh", *install.TEST_BROKER]
+    assert packages(debian, "test", "--with-swi")[-2:] == ["python3-paho-mqtt", "swi-prolog-nox"]
+    assert packages(ubuntu, "test") == [*ubuntu.packages, "fish", "zsh", *install.TEST_BROKER]
     for command in ("demo", "lint", "build"):
         assert packages(debian, command) == debian.packages
 
