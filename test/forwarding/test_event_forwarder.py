@@ -16,6 +16,7 @@ from typing import Any, Iterator, List
 import pytest
 from forwarding.mosquitto import NEEDS_BROKER, Broker, wait_until
 
+from retalis import UsageError
 from retalis.fleet.robot_events import read_robot_event
 from retalis.forwarding.disk_queue import DiskQueue, ForwardedEvent
 from retalis.forwarding.event_forwarder import MAX_EVENT_CHARACTERS, EventForwarder
@@ -252,6 +253,13 @@ def test_tls_checks_certificate_of_broker(create_broker: Any, forward: Any, cert
     forwarder.stop()
     forward(f"mqtts://localhost:{broker.port}", ca_file=certificate)
     subscriber.wait_for(1000)
+
+
+def test_missing_certificates_are_an_error_at_start(forward: Any, tmp_path: Path) -> None:
+    for _ in range(2):
+        # The queue of the first attempt is closed.
+        with pytest.raises(UsageError, match="missing.pem: the certificates cannot be read"):
+            forward("mqtts://localhost:1", ca_file=tmp_path / "missing.pem")
 
 
 def test_slow_disk_drops_oldest_events(broker: Broker, forward: Any, monkeypatch: pytest.MonkeyPatch) -> None:

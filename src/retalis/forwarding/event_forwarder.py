@@ -99,7 +99,12 @@ class EventForwarder:
         self._dropped_count = self._unstored_count = self._oversized_count = 0
         self._storage_problem = ""
         self._queue = DiskQueue(options.queue, options.max_bytes, on_damage=reports.error)
-        self._sender = MqttSender(options.broker, options.robot, self._queue)
+        try:
+            self._sender = MqttSender(options.broker, options.robot, self._queue)
+        except BaseException:
+            # Otherwise the file stays locked, and a node of ROS 2 could not be configured again.
+            self._queue.close()
+            raise
         self._thread = threading.Thread(target=self._store, name="retalis forwarding queue", daemon=True)
         self._sender.start()
         self._thread.start()

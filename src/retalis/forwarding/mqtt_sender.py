@@ -123,12 +123,12 @@ class MqttSender:
         self._last_sent: Tuple[str, int] = ("", 0)
         self._end: Optional[float] = None
         """Instant of the monotonic clock at which the thread ends at the latest; None before `stop`."""
+        # Wrong certificates are an error at the start.
+        self._make_client()
         self._is_stopping = threading.Event()
         self._wake_receiver, self._wake_sender = socket.socketpair()
         self._wake_receiver.setblocking(False)
         self._wake_sender.setblocking(False)
-        # Wrong certificates are an error at the start.
-        self._make_client()
         self._thread = threading.Thread(target=self._run, name="retalis forwarding", daemon=True)
 
     def start(self) -> None:
@@ -160,7 +160,7 @@ class MqttSender:
                 reason = self._connect_and_send()
             # A broker may send anything, and paho raises errors of several kinds.
             except Exception as error:
-                reason = str(error) if isinstance(error, OSError) else repr(error)
+                reason = str(error) if isinstance(error, (OSError, RetalisError)) else repr(error)
             if self._is_stopping.is_set():
                 break
             self._record_end(reason, was_connected=self.connection_count > connection_count)
@@ -270,7 +270,9 @@ class MqttSender:
 
     def _confirm(self, events: List[QueuedEvent]) -> None:
         if events:
-            self._queue.confirm(events[-1].session, events[-1].id, len(events))
+            session, last_id, _ = events[-1]
+            # If the file was damaged meanwhile, the first ones belong to an earlier session.
+            self._queue.confirm(session, last_id, sum(event.session == session for event in events))
             self.confirmed_count += len(events)
 
     def _release_when_due(self) -> None:
