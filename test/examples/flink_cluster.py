@@ -76,6 +76,8 @@ class Cluster:
             "PYTHONPATH": python_path(),
             "FLINK_CONF_DIR": str(folder / "conf"),
             "FLINK_LOG_DIR": str(folder / "log"),
+            # By default in /tmp, where `stop-cluster.sh` of another cluster would find these processes.
+            "FLINK_PID_DIR": str(folder),
         }
         for name in ("conf", "log", "temporary"):
             (folder / name).mkdir()
