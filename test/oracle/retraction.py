@@ -307,6 +307,9 @@ class RevisedState(RuleState):
             )
             passed.append(ProcessedMatch(q, [match.numbers for match in matches]))
             results.extend(matches)
+            if matches and node.kind == "forall_seq":
+                # A second side takes all first ones, so it is evaluated again with those that it did not take.
+                self.store_unmatched(node, q)
 
         def first(p: Match) -> None:
             matches = self._later(node, p, passed, fit) if self.reviving else []
@@ -334,7 +337,8 @@ class RevisedState(RuleState):
                 matches.append(match)
                 record.completed_numbers.append(match.numbers)
                 unmatched = self.suppressed.get(node, [])
-                unmatched[:] = [q for q in unmatched if q is not record.match]
+                if not for_all:
+                    unmatched[:] = [q for q in unmatched if q is not record.match]
                 if self.consuming or for_all:
                     break
         return matches
@@ -354,10 +358,13 @@ class RevisedState(RuleState):
                     is_in_order = max(p.numbers) < max(q.numbers)
                     return self.fit(node, p, q, tests, cnot) if is_in_order else None
 
-                matches = self.complete(self.waiting[node, "left"], fit)
+                for_all = node.kind == "forall_seq"
+                policy, is_consumed = ("all", True) if for_all else (self.policy, self.consuming)
+                matches = self._take(self.waiting[node, "left"], fit, policy, is_consumed=is_consumed)
                 again += matches
                 if matches:
-                    unmatched.remove(q)
+                    if not for_all:
+                        unmatched.remove(q)
                     for record in self.passed.get(node, []):
                         if record.match is q:
                             record.completed_numbers += [match.numbers for match in matches]

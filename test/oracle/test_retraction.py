@@ -75,6 +75,15 @@ def test_pair_is_tested_by_all_conditions_again() -> None:
         assert sum(n for step in steps for event, n in step.items() if event[0] == "out") == expected
 
 
+def test_second_side_of_forall_seq_takes_released_first_side() -> None:
+    pattern = "without(forall_seq(a(X),b),c)"
+    steps = run_with_retraction(
+        [rule("out(X)", pattern)], stream("a(1)@1 c@2 a(2)@3 b@4 rev(c)@5"), "recent", False
+    )
+    derived = [[event[0] for event in step.elements() if "out" in event[0]] for step in steps]
+    assert derived == [[], [], [], ["out(2)"], ["out(1)"]]
+
+
 def test_event_completes_one_side_only() -> None:
     events = stream("a(1)@1 d@2 a(2)@3 rev(d)@4")
     steps = run_with_retraction([rule("out", "and(fnot(a(X),d),a(Y))")], events, "recent", False)
