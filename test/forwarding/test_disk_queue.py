@@ -37,6 +37,15 @@ def test_events_have_increasing_ids(path: Path) -> None:
     queue.close()
 
 
+def test_time_of_event_may_be_wrong(path: Path) -> None:
+    queue = DiskQueue(path, MEGABYTE)
+    # The last second of the year 9999, which has no 64-bit number of nanoseconds.
+    event = ForwardedEvent(-1.5, 253402300799.0, "a")
+    queue.append([event])
+    assert queue.take(1, 100)[0].event == event
+    queue.close()
+
+
 def test_events_in_flight_return_to_queue(path: Path) -> None:
     queue = DiskQueue(path, MEGABYTE)
     queue.append(events("a", "b", "c"))

@@ -27,7 +27,7 @@ pytestmark = [pytest.mark.slow, NEEDS_BROKER]
 
 def put(forwarder: EventForwarder, *numbers: int) -> None:
     for number in numbers:
-        forwarder.put(ForwardedEvent(1_500_000_000, 1_500_000_000 + number, f"alarm({number})"))
+        forwarder.put(ForwardedEvent(1.5, 1.5 + number, f"alarm({number})"))
 
 
 def texts_of(numbers: Any) -> List[str]:
@@ -43,7 +43,7 @@ def test_events_arrive_in_order(broker: Broker, forward: Any) -> None:
     session = first.pop("session")
     assert first == {"robot": "r07", "id": 1, "time": 1.5, "event": "alarm(0)"}
     last = subscriber.events[-1]
-    assert (last["start"], last["time"]) == (1.5, 1.500000999)
+    assert (last["start"], last["time"]) == (1.5, 1000.5)
     assert {event["session"] for event in subscriber.events[1:]} == {session}
     assert [event["id"] for event in subscriber.events] == list(range(1, 1001))
     # The fleet's side accepts the lines.

@@ -63,7 +63,7 @@ def queued(program: Path) -> List[Any]:
     queue = DiskQueue(program / "queue.db", 1_000_000)
     events = [event for _, _, event in queue.take(100, 1_000_000)]
     queue.close()
-    return [(event.start / 1e9, event.end / 1e9, event.text) for event in events]
+    return [(event.start, event.end, event.text) for event in events]
 
 
 def test_outputs_of_selected_topics_are_queued(network: MemoryNetwork, program: Path) -> None:

@@ -61,7 +61,7 @@ _TABLES = (
     f"PRAGMA application_id = {_APPLICATION_ID}",
     f"PRAGMA user_version = {_SCHEMA_VERSION}",
     "CREATE TABLE session (session TEXT NOT NULL)",
-    "CREATE TABLE events (id INTEGER PRIMARY KEY AUTOINCREMENT, start INTEGER NOT NULL, end INTEGER NOT NULL, "
+    "CREATE TABLE events (id INTEGER PRIMARY KEY AUTOINCREMENT, start REAL NOT NULL, end REAL NOT NULL, "
     "text TEXT NOT NULL)",
     "INSERT INTO session SELECT lower(hex(randomblob(16)))",
     "COMMIT",
@@ -74,13 +74,13 @@ class ForwardedEvent(NamedTuple):
     """An event for the broker.
 
     Attributes:
-        start: start of its interval in ns.
-        end: end of its interval in ns.
+        start: start of its interval in seconds since the epoch.
+        end: end of its interval in seconds since the epoch.
         text: its term as text.
     """
 
-    start: int
-    end: int
+    start: float
+    end: float
     text: str
 
 

@@ -178,11 +178,12 @@ class EventForwarder:
             self._queue.skip_ids(skipped_count)
             try:
                 dropped_count = self._queue.append(events)
-            except QueueFailed as error:
+            # Whatever the reason is, the thread has to continue with later events.
+            except Exception as error:
                 self._unstored_count += len(events)
-                self._storage_problem = error.message
+                self._storage_problem = error.message if isinstance(error, QueueFailed) else repr(error)
                 self._reports.warning(
-                    f"forwarding: {format_count(len(events), 'event')} cannot be stored: {error.message}",
+                    f"forwarding: {format_count(len(events), 'event')} cannot be stored: {self._storage_problem}",
                     (_REPORTED, "storage"),
                 )
                 continue

@@ -309,9 +309,9 @@ class MqttSender:
             "robot": self._robot,
             "session": queued.session,
             "id": queued.id,
-            "time": end / 1e9,
+            "time": end,
             "event": text,
         }
         if start != end:
-            fields["start"] = start / 1e9
+            fields["start"] = start
         return json.dumps(fields, separators=(",", ":")).encode()

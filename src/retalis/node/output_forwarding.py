@@ -62,7 +62,8 @@ class OutputForwarding:
         if self.includes(topic):
             # Strings of messages may contain bytes that are not UTF-8.
             text = to_text(term).encode("utf-8", "replace").decode()
-            self._forwarder.put(ForwardedEvent(*self._find_interval(), text))
+            start, end = self._find_interval()
+            self._forwarder.put(ForwardedEvent(start / 1e9, end / 1e9, text))
 
     def _full_name(self, topic: str) -> str:
         try:
