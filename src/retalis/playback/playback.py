@@ -109,7 +109,7 @@ class Output(NamedTuple):
         term: the message as a term.
         time: the time of the bag at which it was published, in nanoseconds.
         definition: the message type; None if ``pub_sub.xml`` does not specify one.
-        data: the serialized message; None if the term does not fit the type.
+        data: the message in the serialization of the playback's outputs; None if the term does not fit the type.
         id: id of the subscription.
     """
 
