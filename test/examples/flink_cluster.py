@@ -111,7 +111,7 @@ class Cluster:
             "taskmanager.host": "127.0.0.1",
             "taskmanager.bind-host": "127.0.0.1",
             "taskmanager.memory.process.size": "1300m",
-            "taskmanager.numberOfTaskSlots": 2,
+            "taskmanager.numberOfTaskSlots": 1,
             "heartbeat.timeout": "10000",
             "heartbeat.interval": "1000",
             "io.tmp.dirs": str(self._folder / "temporary"),

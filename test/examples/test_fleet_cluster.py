@@ -136,6 +136,8 @@ def run_and_kill(
     lines = create_lines(robots=4, seconds=60 + 15 * kills)
     expected = run_loop(program, lines)
     part = len(lines) // (kills + 1)
+    # Each worker has one slot, so that both have robots.
+    cluster.configure(parallelism=2)
     cluster.submit()
     for number in range(kills):
         wait_until(cluster.is_running, "the job")
