@@ -86,6 +86,30 @@ def test_parts_continue_from_previous_part(
     ]
 
 
+def test_failed_bags_lose_results_of_earlier_run(
+    program: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    parts = [make_bag(tmp_path / "day" / f"r_{number}.bag", "x", start=1 + number) for number in range(3)]
+    output = tmp_path / "results"
+    options = ["bag", str(tmp_path / "day"), "--program", program, "--jobs", "1", "--parts", "--format", "jsonl"]
+    assert main([*options, "--output", str(output)]) == 0
+    parts[1].write_text("no bag")
+    assert main([*options, "--output", str(output), "--resume"]) == 1
+    assert capfd.readouterr().err.endswith("2 of 3 bags failed\n")
+    # The third part is not played, because it continues from the second one.
+    assert [path.name for path in output.rglob("*.json*")] == ["r_0.jsonl", "r_0.jsonl.json"]
+
+
+def test_missing_program_keeps_results(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    make_bag(tmp_path / "a.bag", "x")
+    (tmp_path / "results").mkdir()
+    (tmp_path / "results" / "a.jsonl").touch()
+    options = ["--jobs", "1", "--format", "jsonl", "--output", f"{tmp_path}/results", "--overwrite"]
+    assert main(["bag", f"{tmp_path}/a.bag", "--program", f"{tmp_path}/none", *options]) == 1
+    assert capsys.readouterr().err == f"retalis: --program {tmp_path}/none: there is no such folder\n"
+    assert (tmp_path / "results" / "a.jsonl").exists()
+
+
 @pytest.fixture(scope="module")
 def cluster() -> Iterator[Any]:
     """Return the address of a scheduler; its start sets environment variables and loggers for good."""

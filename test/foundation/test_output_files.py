@@ -42,6 +42,13 @@ def test_new_file_keeps_permissions_of_target(tmp_path: Path) -> None:
     )
 
 
+def test_new_file_without_suffix_names_its_target(tmp_path: Path) -> None:
+    with replace_file(tmp_path / "a.csv", has_suffix=False) as path:
+        path.write_text("new")
+        assert (path.suffix == ".csv", target_name_of(path)) == (False, "a.csv")
+    assert names_in(tmp_path) == ["a.csv"]
+
+
 def test_target_of_link_is_replaced(tmp_path: Path) -> None:
     (tmp_path / "data").mkdir()
     target, link = tmp_path / "data" / "run.html", tmp_path / "link.html"

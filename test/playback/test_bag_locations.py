@@ -159,6 +159,14 @@ def test_only_complete_result_is_stored(tmp_path: Path, scheme: str) -> None:
     assert [entry.name for entry in target.parent.iterdir()] == ["a.jsonl"]
 
 
+@pytest.mark.parametrize(("name", "is_shared"), [("a.csv", False), ("a.parquet", False), ("a.mcap", True)])
+def test_only_incomplete_bags_have_suffix_of_result(tmp_path: Path, name: str, is_shared: bool) -> None:
+    """Data tools read all files with a suffix, hidden ones too; the suffix of a bag selects its format."""
+    with result_file(f"{tmp_path}/{name}", str(tmp_path)) as path:
+        Path(path).write_text("half")
+        assert (Path(path).suffix == Path(name).suffix) == is_shared
+
+
 def test_unwritable_result_is_an_error(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     result = result_file(str(tmp_path / "file" / "a.bag"), str(tmp_path))
@@ -168,10 +176,11 @@ def test_unwritable_result_is_an_error(tmp_path: Path) -> None:
 
 def test_incomplete_results_are_removed(tmp_path: Path) -> None:
     other_names = [".02.incomplete.b.bag", ".incomplete", "03.incomplete.a.bag", "a.bag"]
-    for name in (*other_names, ".01.incomplete.a.bag", ".05.incomplete..04.incomplete.a.bag"):
+    incomplete_names = [".01.incomplete.a.bag", ".05.incomplete..04.incomplete.a.bag", ".06.incomplete.a.csv.part"]
+    for name in (*other_names, *incomplete_names):
         (tmp_path / name).touch()
     remove_incomplete_results(
-        [str(tmp_path / "a.bag"), "s3://bucket/b.bag", str(tmp_path / "none" / "c.bag")]
+        [f"{tmp_path}/a.bag", f"{tmp_path}/a.csv", "s3://bucket/b.bag", f"{tmp_path}/none/c.bag"]
     )
     assert sorted(path.name for path in tmp_path.iterdir()) == sorted(other_names)
 

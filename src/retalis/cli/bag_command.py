@@ -107,10 +107,7 @@ from .option_values import (
     parse_delay,
 )
 from .optional_ros_imports import installed_definitions
-from .result_manifest import (
-    find_whole_results,
-    record_result,
-)
+from .result_manifest import find_whole_results, record_result, remove_result
 from .result_partitions import utc_day
 from .stderr_and_progress import (
     LimitedText,
@@ -772,6 +769,15 @@ def play_separately(options: argparse.Namespace) -> int:
         return reporter.finish()
 
 
+def _remove_failed_result(task: BagTask) -> None:
+    """Remove the result that an earlier run had for a bag, which would pass for one of this run."""
+    if task.manifest is not None:
+        try:
+            remove_result(task.manifest)
+        except RetalisError as error:
+            print(f"error: {error}", file=sys.stderr)
+
+
 def _remove_incomplete_files(tasks: List[BagTask]) -> None:
     manifests = [task.manifest.location for task in tasks if task.manifest is not None]
     targets = {target for task in tasks for target in task.target.list_local_paths()}
@@ -869,6 +875,7 @@ class _OutcomeReporter:
             failure = f"{target} is not seen here: this machine and the workers need to share its folder"
         if failure is not None:
             self._failed_count += 1
+            _remove_failed_result(task)
             place = "" if failure.startswith(task.location) else f"{task.location}: "
             print(f"error: {place}{failure}", file=sys.stderr)
         elif self._to_print:

@@ -112,6 +112,9 @@ def check_many_bags_options(options: argparse.Namespace) -> None:
         UsageError: if there are any.
     """
     result_format = select_format(options)
+    # Otherwise each bag would fail, and lose its earlier result.
+    if not options.program.is_dir():
+        raise UsageError(f"--program {options.program}: there is no such folder")
     if options.jobs and options.scheduler:
         raise UsageError(
             "--jobs and --scheduler: give only one option: a cluster determines the number of its workers"

@@ -170,12 +170,25 @@ def record_result(
         Path(path).write_text(json.dumps(content), encoding="utf-8")
 
 
+def remove_result(manifest: ResultManifest) -> None:
+    """Remove the result and the manifest of an earlier run, if there are any.
+
+    Raises:
+        RetalisError: if they cannot be removed.
+    """
+    _remove_earlier_result(manifest)
+    remove_location(manifest.location)
+
+
 def _remove_earlier_result(manifest: ResultManifest) -> None:
-    """Remove the result that a manifest describes, if there is one.
+    """Remove the result that a manifest describes, or the one at its only location, if there is one.
 
     Raises:
         RetalisError: if it cannot be removed.
     """
+    if not manifest.target.tail:
+        remove_location(manifest.target.head)
+        return
     try:
         content = json.loads(read_location(manifest.location) or "")
         location = _find_result(manifest, content)

@@ -19,19 +19,23 @@ if TYPE_CHECKING:
     from xml.etree.ElementTree import Element
 
 _INCOMPLETE_MARK = ".incomplete."
+_INCOMPLETE_SUFFIX = ".part"
 
 
 @contextmanager
-def replace_file(target: Union[str, Path], keep_on_interrupt: bool = False) -> Iterator[Path]:
+def replace_file(
+    target: Union[str, Path], keep_on_interrupt: bool = False, has_suffix: bool = True
+) -> Iterator[Path]:
     """Provide the path of a new file, which replaces the target when the block ends without an exception.
 
     After an exception, the new file is removed and the target is as it was. The new file is in the folder of the
-    target, because a move is atomic within one file system only, and has its suffix. Devices and pipes are written
-    directly.
+    target, because a move is atomic within one file system only. Devices and pipes are written directly.
 
     Args:
         target: path of the file; if it is a link, the file that the link leads to is replaced.
         keep_on_interrupt: whether a `KeyboardInterrupt` replaces the target, too, as for a log of lines.
+        has_suffix: whether the new file has the suffix of the target, which selects the format of some files.
+            Without it, tools that read all files with the suffix skip the new file.
 
     Raises:
         OSError: if the target cannot be replaced.
@@ -40,7 +44,8 @@ def replace_file(target: Union[str, Path], keep_on_interrupt: bool = False) -> I
     if path.exists() and not path.is_file():
         yield path
         return
-    incomplete_path = path.with_name(f".{uuid4().hex}{_INCOMPLETE_MARK}{path.name}")
+    suffix = "" if has_suffix else _INCOMPLETE_SUFFIX
+    incomplete_path = path.with_name(f".{uuid4().hex}{_INCOMPLETE_MARK}{path.name}{suffix}")
     try:
         try:
             yield incomplete_path
@@ -89,7 +94,9 @@ def set_aside(path: Path, max_files: int) -> Path:
 def target_name_of(path: Path) -> str:
     """Return the name of the target of a file that `replace_file` has created, or "" for other files."""
     _, mark, name = path.name.rpartition(_INCOMPLETE_MARK)
-    return name if mark and path.name.startswith(".") else ""
+    if not mark or not path.name.startswith("."):
+        return ""
+    return name[: -len(_INCOMPLETE_SUFFIX)] if name.endswith(_INCOMPLETE_SUFFIX) else name
 
 
 class OutputFailed(SafeExit):

@@ -417,7 +417,8 @@ def result_file(target: str, scratch: str) -> Iterator[str]:
     folder = os.path.dirname(target)
     try:
         os.makedirs(folder or ".", exist_ok=True)
-        with replace_file(target) as incomplete_path:
+        # DuckDB reads hidden files, too. The writers of bags need the suffix.
+        with replace_file(target, has_suffix=target.endswith(BAG_SUFFIXES)) as incomplete_path:
             yield str(incomplete_path)
     except OSError as error:
         raise BagError(f"{target} cannot be written: {describe_error(error)}") from error
