@@ -91,7 +91,17 @@ def test_failed_bags_lose_results_of_earlier_run(
 ) -> None:
     parts = [make_bag(tmp_path / "day" / f"r_{number}.bag", "x", start=1 + number) for number in range(3)]
     output = tmp_path / "results"
-    options = ["bag", str(tmp_path / "day"), "--program", program, "--jobs", "1", "--parts", "--format", "jsonl"]
+    options = [
+        "bag",
+        str(tmp_path / "day"),
+        "--program",
+        program,
+        "--jobs",
+        "1",
+        "--parts",
+        "--format",
+        "jsonl",
+    ]
     assert main([*options, "--output", str(output)]) == 0
     parts[1].write_text("no bag")
     assert main([*options, "--output", str(output), "--resume"]) == 1

@@ -97,6 +97,17 @@ def test_forwarded_topic_needs_no_type(
     assert sorted(topics) == ["newer", "newer", "newer", "other"]
 
 
+def test_topic_without_subscription_is_warned_of(
+    network: MemoryNetwork, program: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    host = start_host(network, program, **parameters(program, "fleet", "flet", "/al*"))
+    host.transport.shut_down()
+    messages = [record.getMessage() for record in caplog.records if "forward_topics" in record.getMessage()]
+    assert messages == [
+        "parameter ~forward_topics: no subscription has the topic flet; did you mean fleet?",
+    ]
+
+
 class Listener:
     """Receiver of the messages on ``/diagnostics``."""
 
@@ -186,3 +197,9 @@ def test_loss_is_an_error_for_some_seconds() -> None:
     trends, status = CounterTrends(), STATUS._replace(dropped=5)
     levels = [evaluate_forwarding(now, trends, status).level for now in (7.0, 16.0, 18.0)]
     assert levels == [Level.ERROR, Level.ERROR, Level.OK]
+
+
+def test_topic_without_subscription_is_in_status() -> None:
+    health = evaluate_forwarding(7.0, CounterTrends(), STATUS, ["flet", "/arm/*"])
+    expected = (Level.WARN, "no subscription has the topic flet, /arm/*; 3 events queued")
+    assert (health.level, health.message) == expected

@@ -176,7 +176,11 @@ def test_unwritable_result_is_an_error(tmp_path: Path) -> None:
 
 def test_incomplete_results_are_removed(tmp_path: Path) -> None:
     other_names = [".02.incomplete.b.bag", ".incomplete", "03.incomplete.a.bag", "a.bag"]
-    incomplete_names = [".01.incomplete.a.bag", ".05.incomplete..04.incomplete.a.bag", ".06.incomplete.a.csv.part"]
+    incomplete_names = [
+        ".01.incomplete.a.bag",
+        ".05.incomplete..04.incomplete.a.bag",
+        ".06.incomplete.a.csv.part",
+    ]
     for name in (*other_names, *incomplete_names):
         (tmp_path / name).touch()
     remove_incomplete_results(

@@ -1,7 +1,7 @@
 """Forwarding of the outputs of a program to a broker, and its status on ``/diagnostics``."""
 
 from fnmatch import fnmatchcase
-from typing import Callable, List, Tuple
+from typing import Callable, Iterable, List, Sequence, Tuple
 
 from ..engine.runtime.problem_reports import Reports
 from ..forwarding.disk_queue import ForwardedEvent
@@ -9,7 +9,8 @@ from ..forwarding.event_forwarder import EventForwarder, ForwardingStatus
 from ..forwarding.forwarding_options import ForwardingOptions
 from ..foundation.bounded_caches import Cache
 from ..foundation.displayed_text import format_count
-from ..foundation.errors import UsageError
+from ..foundation.errors import RetalisError, UsageError
+from ..foundation.similar_names import did_you_mean
 from ..prolog.syntax.event_text import to_text
 from ..prolog.terms.types import Term
 from .diagnostics import CounterTrends, Health, Level
@@ -37,7 +38,9 @@ class OutputForwarding:
         find_interval: Callable[[], Tuple[int, int]],
     ):
         self._resolve_topic = resolve_topic
-        self._patterns = [self._full_name(topic) for topic in options.topics]
+        self._patterns = {topic: self._full_name(topic) for topic in options.topics}
+        self._unused_topics: Tuple[str, ...] = ()
+        """Topics of the parameter that no subscription of the program has, until there is an output."""
         self._find_interval = find_interval
         self._decisions: Cache[str, bool] = Cache(1000, 1 << 20)
         self._trends = CounterTrends()
@@ -52,8 +55,11 @@ class OutputForwarding:
             name = self._full_name(topic)
             # Temporary subscriptions of `retalis watch` are not outputs of the program.
             is_included = not topic.startswith(WATCH) and any(
-                fnmatchcase(name, pattern) for pattern in self._patterns
+                fnmatchcase(name, pattern) for pattern in self._patterns.values()
             )
+            if is_included and self._unused_topics:
+                # A rule has added the subscription.
+                self._unused_topics = self._find_unused([name], self._unused_topics)
             self._decisions.store(topic, is_included, len(topic))
         return is_included
 
@@ -65,6 +71,31 @@ class OutputForwarding:
             start, end = self._find_interval()
             self._forwarder.put(ForwardedEvent(start / 1e9, end / 1e9, text))
 
+    def check_topics(self, topics: List[str]) -> List[RetalisError]:
+        """Return a warning for each topic of the parameter that no subscription of the loaded program has.
+
+        Args:
+            topics: topics of the subscriptions.
+        """
+        # The next output of a topic shows again that there is a subscription.
+        self._decisions.clear()
+        self._unused_topics = self._find_unused(map(self._full_name, topics), self._patterns)
+        return [
+            RetalisError(
+                f"parameter ~forward_topics: no subscription has the topic {topic}{did_you_mean(topic, topics)}"
+            )
+            for topic in self._unused_topics
+        ]
+
+    def _find_unused(self, names: Iterable[str], candidates: Iterable[str]) -> Tuple[str, ...]:
+        """Return the candidates that match none of the full names."""
+        full_names = list(names)
+        return tuple(
+            topic
+            for topic in candidates
+            if not any(fnmatchcase(name, self._patterns[topic]) for name in full_names)
+        )
+
     def _full_name(self, topic: str) -> str:
         try:
             return self._resolve_topic(topic)
@@ -74,13 +105,15 @@ class OutputForwarding:
 
     def evaluate(self, now: float) -> List[Health]:
         """Return the status of the forwarding at an instant of the monotonic clock."""
-        health = evaluate_forwarding(now, self._trends, self.status())
+        health = evaluate_forwarding(now, self._trends, self.status(), self._unused_topics)
         self._trends.remove_unrecorded()
         return [health]
 
 
-def evaluate_forwarding(now: float, trends: CounterTrends, status: ForwardingStatus) -> Health:
-    """Return the status of a forwarder."""
+def evaluate_forwarding(
+    now: float, trends: CounterTrends, status: ForwardingStatus, unused_topics: Sequence[str] = ()
+) -> Health:
+    """Return the status of a forwarder; ``unused_topics`` are those that no subscription has."""
     rate = trends.record(now, "confirmed", status.confirmed).rate
     is_losing = trends.record(now, "lost", status.lost + status.damaged_files).is_recent(now)
     values = [
@@ -105,6 +138,9 @@ def evaluate_forwarding(now: float, trends: CounterTrends, status: ForwardingSta
     if not status.is_connected:
         reason = f": {status.problem}" if status.problem else ""
         return Health("forwarding", Level.WARN, f"not connected{reason}; {queued}", values)
+    if unused_topics:
+        names = ", ".join(unused_topics)
+        return Health("forwarding", Level.WARN, f"no subscription has the topic {names}; {queued}", values)
     if 2 * status.used_bytes >= status.max_bytes:
         return Health("forwarding", Level.WARN, f"the queue is half full: {queued}", values)
     return Health("forwarding", Level.OK, f"{rate:.1f} events/s; {queued}", values)

@@ -226,6 +226,11 @@ class ProgramHost:
             topics if forwarding is None else topics._replace(forwarded=forwarding.topics),
             self._service_caller.find_refusal,
         )
+        if self._forwarding is not None:
+            unused_topics = self._forwarding.check_topics(self.engine.output_topics())
+            for warning in unused_topics:
+                log.warning("%s", warning)
+            warnings += unused_topics
         self._program_warnings += [warning.brief() for warning in warnings]
 
     def _make_short_lived_definitions(self) -> Definitions:
