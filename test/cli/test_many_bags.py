@@ -1,6 +1,7 @@
 """Separate playback of several bags: results, order and failures."""
 
 import json
+import sys
 from pathlib import Path
 from typing import Any, Iterator
 
@@ -86,6 +87,7 @@ def test_parts_continue_from_previous_part(
     ]
 
 
+@pytest.mark.slow
 def test_failed_bags_lose_results_of_earlier_run(
     program: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
@@ -107,7 +109,25 @@ def test_failed_bags_lose_results_of_earlier_run(
     assert main([*options, "--output", str(output), "--resume"]) == 1
     assert capfd.readouterr().err.endswith("2 of 3 bags failed\n")
     # The third part is not played, because it continues from the second one.
-    assert [path.name for path in output.rglob("*.json*")] == ["r_0.jsonl", "r_0.jsonl.json"]
+    assert sorted(path.name for path in output.rglob("*.json*")) == ["r_0.jsonl", "r_0.jsonl.json"]
+
+
+@pytest.mark.parametrize(("result_format", "package"), [("parquet", "pyarrow"), ("mcap", "mcap")])
+def test_missing_package_is_one_error(
+    program: str,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+    result_format: str,
+    package: str,
+) -> None:
+    monkeypatch.setitem(sys.modules, package, None)
+    options = ["--program", program, "--jobs", "1", "--format", result_format, "--output", f"{tmp_path}/out"]
+    assert main(["bag", f"{tmp_path}/a.bag", f"{tmp_path}/b.bag", *options]) == 1
+    expected = (
+        f"retalis: --format {result_format} needs the Python package {package} (pip install {package})\n"
+    )
+    assert capsys.readouterr().err == expected
 
 
 def test_missing_program_keeps_results(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -244,6 +244,11 @@ def test_options_of_forwarding(read: Any, tmp_path: Path) -> None:
         ),
         ({"forward_queue": ""}, "~forward_queue: expected the path of a file"),
         ({"forward_password": "/nowhere/x"}, "~forward_password: /nowhere/x cannot be read"),
+        (
+            {"forward": "mqtts://fleet", "forward_password": "/nowhere/x"},
+            "~forward_password: ~forward has no user: expected mqtt://USER@HOST",
+        ),
+        ({"forward_ca": "/nowhere/x"}, "~forward_ca: ~forward has no TLS: expected mqtts://HOST"),
         ({"forward_megabytes": 0}, "~forward_megabytes: expected a positive number"),
     ],
 )

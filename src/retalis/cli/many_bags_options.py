@@ -1,6 +1,7 @@
 """Options of ``retalis bag`` for many bags: separate runs, result files, and options that exclude each other."""
 
 import argparse
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, Dict, Optional
 
@@ -16,6 +17,8 @@ BAG_FORMATS = ("bag", "mcap")
 FORMATS = (*BAG_FORMATS, *TABLE_TYPES, "jsonl")
 """Formats of the results of separate runs, and the suffixes of their files."""
 
+_REQUIRED_PACKAGES = {"mcap": "mcap", "parquet": "pyarrow"}
+"""Optional Python packages by the format that needs them."""
 
 _MANY_BAGS_OPTIONS = (
     "bags",
@@ -115,6 +118,12 @@ def check_many_bags_options(options: argparse.Namespace) -> None:
     # Otherwise each bag would fail, and lose its earlier result.
     if not options.program.is_dir():
         raise UsageError(f"--program {options.program}: there is no such folder")
+    package = _REQUIRED_PACKAGES.get(result_format or "")
+    # The workers of a cluster have packages of their own.
+    if package is not None and not options.scheduler and find_spec(package) is None:
+        raise UsageError(
+            f"--format {result_format} needs the Python package {package} (pip install {package})"
+        )
     if options.jobs and options.scheduler:
         raise UsageError(
             "--jobs and --scheduler: give only one option: a cluster determines the number of its workers"

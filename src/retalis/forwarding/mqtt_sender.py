@@ -220,7 +220,8 @@ class MqttSender:
             while True:
                 status = self._transfer(client, selector)
                 if answers and answers[0] != 0:
-                    return f"the broker refuses it: {self._paho.connack_string(answers[0])}"
+                    reason = str(self._paho.connack_string(answers[0])).rstrip(".")
+                    return f"the broker refuses it: {reason}"
                 if status:
                     return str(self._paho.error_string(status)).rstrip(".")
                 if answers:

@@ -343,7 +343,12 @@ def _read_forwarding(given: "_GivenParameters") -> Optional[ForwardingOptions]:
         broker = read_broker(url)
     except UsageError as error:
         raise UsageError(f"parameter ~forward: {error.message}") from None
-    password, queue = given.path("forward_password"), given.path("forward_queue")
+    password, queue, ca_file = map(given.path, ("forward_password", "forward_queue", "forward_ca"))
+    # Both would be ignored, the second one with events sent in clear.
+    if password is not None and broker.user is None:
+        raise UsageError("parameter ~forward_password: ~forward has no user: expected mqtt://USER@HOST")
+    if ca_file is not None and not broker.uses_tls:
+        raise UsageError("parameter ~forward_ca: ~forward has no TLS: expected mqtts://HOST")
     robot = given.text("forward_robot", "")
     if not is_robot_name(robot):
         raise UsageError(
@@ -354,7 +359,7 @@ def _read_forwarding(given: "_GivenParameters") -> Optional[ForwardingOptions]:
         raise UsageError("parameter ~forward_queue: expected the path of a file, found ''")
     return ForwardingOptions(
         broker=broker._replace(
-            password=None if password is None else _read_password(password), ca_file=given.path("forward_ca")
+            password=None if password is None else _read_password(password), ca_file=ca_file
         ),
         robot=robot,
         topics=given.topic_patterns("forward_topics"),
