@@ -1,15 +1,16 @@
 """Check of events that raise themselves at once, without a condition and without end.
 
 `find_cycles` searches for cycles in the graph whose edges are the rules with one event: from the event to the head.
+An edge follows another one if its event unifies with the head of the other one.
 """
 
 from collections import Counter
-from typing import Dict, Iterator, List, NamedTuple, Optional, Set
+from typing import Any, Dict, Hashable, Iterator, List, NamedTuple, Optional, Set, Tuple
 
 from ...foundation.errors import RuleError
 from ...prolog.terms.term_traversal import copy
-from ...prolog.terms.types import Functor, Term, Trail, deref
-from ...prolog.terms.unification import undo, unify
+from ...prolog.terms.types import COMMA, Functor, Term, Var, deref
+from ...prolog.terms.unification import unify
 from ..language.pattern_tree import (
     ActionPattern,
     EventPattern,
@@ -32,15 +33,16 @@ class _TriggerEdge(NamedTuple):
 
 def find_cycles(program: ProgramModel) -> Iterator[RuleError]:
     """Yield rules by which an event raises itself immediately and without end."""
-    # Removing edges outside of cycles first keeps the search fast for programs with thousands of rules.
+    # Functors exclude most edges before terms are unified, which keeps the search fast for thousands of rules.
     edges = _remove_acyclic_edges([edge for rule in program.rules for edge in _trigger_edges_of(rule)])
-    indices_by_event = _indices_by_event(edges)
+    successors = _find_successors(edges)
     reported: Set[int] = set()
-    for index, edge in enumerate(edges):
-        cycle = None if index in reported else _shortest_cycle(edges, indices_by_event, index)
-        if cycle is None or any(edge_index in reported for edge_index in cycle):
+    for index in _find_cyclic_edges(successors):
+        cycle = None if index in reported else _shortest_cycle(successors, index)
+        if cycle is None or not reported.isdisjoint(cycle) or not _can_complete(edges, cycle):
             continue
         reported.update(cycle)
+        edge = edges[index]
         names = " <- ".join(
             str(key_of(edges[edge_index].head)) for edge_index in reversed([*cycle, cycle[0]])
         )
@@ -103,24 +105,69 @@ def _remove_acyclic_edges(edges: List[_TriggerEdge]) -> List[_TriggerEdge]:
     return [edge for index, edge in enumerate(edges) if index not in removed]
 
 
-def _shortest_cycle(
-    edges: List[_TriggerEdge], indices_by_event: Dict[Optional[Functor], List[int]], start: int
-) -> Optional[List[int]]:
-    """Return the indices of the edges of the shortest cycle through an edge, or None."""
+def _find_successors(edges: List[_TriggerEdge]) -> List[List[int]]:
+    """Return for each edge the indices of the edges whose event unifies with its head."""
+    indices_by_event = _indices_by_event(edges)
+    constants = [_constant_arguments(edge.event) for edge in edges]
+    # For each argument of each functor: the edges by the constant that their event has there; None is a variable.
+    indices_by_constant: Dict[Tuple[Optional[Functor], int], Dict[Hashable, List[int]]] = {}
+    for index, edge in enumerate(edges):
+        for position, constant in enumerate(constants[index]):
+            by_constant = indices_by_constant.setdefault((key_of(edge.event), position), {})
+            by_constant.setdefault(constant, []).append(index)
+    successors = []
+    for edge in edges:
+        key = key_of(edge.head)
+        candidates = indices_by_event.get(key, [])
+        # Without the most selective argument, the states of a machine would all be compared with each other.
+        for position, constant in enumerate(_constant_arguments(edge.head)):
+            by_constant = indices_by_constant.get((key, position), {})
+            if constant is not None:
+                same = [*by_constant.get(constant, ()), *by_constant.get(None, ())]
+                candidates = min(candidates, same, key=len)
+        successors.append(sorted(index for index in candidates if _may_trigger(edge, edges[index])))
+    return successors
+
+
+def _constant_arguments(term: Term) -> List[Hashable]:
+    """Return the arguments of an event: a constant, the functor of a compound term, or None for a variable."""
+    event: Any = deref(term)
+    arguments = [deref(argument) for argument in event[1:]] if event.__class__ is tuple else []
+    return [
+        None if item.__class__ is Var else item[0] if item.__class__ is tuple else item for item in arguments
+    ]
+
+
+def _find_cyclic_edges(successors: List[List[int]]) -> List[int]:
+    """Return the edges that can be part of a cycle, in order, by Kahn's algorithm."""
+    predecessor_counts = Counter(index for indices in successors for index in indices)
+    sources = [index for index in range(len(successors)) if not predecessor_counts[index]]
+    removed: Set[int] = set()
+    while sources:
+        index = sources.pop()
+        removed.add(index)
+        for next_index in successors[index]:
+            predecessor_counts[next_index] -= 1
+            if not predecessor_counts[next_index]:
+                sources.append(next_index)
+    return [index for index in range(len(successors)) if index not in removed]
+
+
+def _shortest_cycle(successors: List[List[int]], start: int) -> Optional[List[int]]:
+    """Return the edges of the shortest cycle through an edge, or None."""
     predecessor: Dict[int, int] = {}
     level = [start]
     while level:
         next_level = []
         for index in level:
-            for next_index in indices_by_event.get(key_of(edges[index].head), ()):
-                edge = edges[next_index]
+            for next_index in successors[index]:
                 # Breadth first, so the first way back is the shortest.
-                if next_index == start and _may_trigger(edges[index], edge):
+                if next_index == start:
                     cycle = [index]
                     while cycle[-1] != start:
                         cycle.append(predecessor[cycle[-1]])
                     return cycle[::-1]
-                if next_index not in predecessor and next_index != start and _may_trigger(edges[index], edge):
+                if next_index not in predecessor:
                     predecessor[next_index] = index
                     next_level.append(next_index)
         level = next_level
@@ -128,8 +175,21 @@ def _shortest_cycle(
 
 
 def _may_trigger(edge: _TriggerEdge, next_edge: _TriggerEdge) -> bool:
-    trail: Trail = []
     # The functors are equal; the arguments may exclude each other.
-    unifies = unify(copy(edge.head), copy(next_edge.event), trail)
-    undo(trail, 0)
-    return bool(unifies)
+    return unify(copy(edge.head), copy(next_edge.event), [])
+
+
+def _can_complete(edges: List[_TriggerEdge], cycle: List[int]) -> bool:
+    """Return whether an event can pass through the edges of a cycle twice.
+
+    Each edge may follow the one before, while an argument that is passed on ends the second round, as 1 does in
+    ``q(1) <- p``, ``r(X) <- q(X)`` and ``p <- r(2)``.
+    """
+    head: Optional[Term] = None
+    for index in [*cycle, *cycle]:
+        # Copied together, since the head has variables of the event.
+        _, event, next_head = copy((COMMA, edges[index].event, edges[index].head))
+        if head is not None and not unify(head, event, []):
+            return False
+        head = next_head
+    return True
