@@ -41,6 +41,13 @@ def test_invalid_label_is_refused(rule: str, column: int, part: str) -> None:
     assert_refused(rule, column, part)
 
 
+def test_property_has_more_seconds_than_a_float() -> None:
+    engine = Engine()
+    engine.load(rules=f"l([property(window, 1{'0' * 400})]) : a <- b seq c.")
+    engine.event("b", 1)
+    assert Engine.restore(engine.snapshot()).rules.rules[0].title == engine.rules.rules[0].title
+
+
 def test_unknown_property_is_reported_at_name() -> None:
     assert warnings_of("l([property(colour, red)]) : a <- b.")[0][:2] == (1, 13)
     assert warnings_of("event_rule_property(l, colour, red).")[0][:2] == (1, 24)

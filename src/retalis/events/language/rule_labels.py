@@ -4,7 +4,7 @@ A label names a rule and sets its properties: ``L : R`` or ``L([property(Name, V
 label has its event as name: `rule_name`. Users meet rules as `rule_title`: by name and place.
 """
 
-from math import isfinite
+from math import inf
 from typing import Any, Callable, Dict, NamedTuple, Optional, Tuple
 
 from ...foundation.displayed_text import shorten
@@ -93,7 +93,7 @@ class Property(NamedTuple):
         if self.name == WATERMARK_DELAY and isinstance(self.value, Atom):
             is_auto = self.value.name == "auto"
             return None if is_auto else f"property {self.name} is auto or a number of seconds, 0 or more"
-        if self.value.__class__ not in (int, float) or not (self.value >= 0 and isfinite(self.value)):
+        if self.value.__class__ not in (int, float) or not 0 <= self.value < inf:
             return f"property {self.name} needs a number of seconds, 0 or more"
         return None
 
