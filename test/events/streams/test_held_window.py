@@ -118,6 +118,21 @@ def test_value_replaced_before_sliding_window_is_too_late() -> None:
     assert runner.engine.rules.rules[0].late_count == 1
 
 
+@pytest.mark.parametrize(
+    ("kind", "window", "output"),
+    [
+        ("avg(X)", "held(last(5))", "o(a,3)@5-10"),
+        ("avg(X)", "held(last(8))", "o(a,2.875)@2-10"),
+        ("avg(X)", "held(last(6), max(4))", "o(a,3)@4-10"),
+        ("min(X)", "held(last(5), max(1))", "o(a,9)@10-10"),
+    ],
+)
+def test_values_that_end_together_are_removed(kind: str, window: str, output: str) -> None:
+    runner = RuleRunner(rule(kind, window))
+    runner.feed("q(a,1)@1 q(a,2)@2 q(a,3)@3 q(a,9)@10")
+    assert runner.outputs[-1] == output
+
+
 def test_value_ends_after_jump_of_clock() -> None:
     runner = RuleRunner(rule("last(X)", "held(every(1), max(2))"))
     assert runner.feed("q(a,1)@0 tick@1000000") == "o(a,1)@0-1 o(a,1)@1-2"

@@ -196,7 +196,7 @@ class HeldSignal:
         position = bisect_right(self._ends, element.end)
         if position and self._ends[position - 1] == element.end:
             position -= 1
-            self._remove(position)
+            self._remove(position, position + 1)
         self._add_time_of(position - 1, -1)
         self._ends.insert(position, element.end)
         self.elements.insert(position, element)
@@ -205,15 +205,18 @@ class HeldSignal:
         self._add_time_of(position - 1, 1)
         self._add_time_of(position, 1)
 
-    def _remove(self, position: int) -> None:
-        self._add_time_of(position - 1, -1)
-        self._add_time_of(position, -1)
-        element = self.elements.pop(position)
-        del self._ends[position]
-        element.is_removed = True
-        for measure in self._measures:
-            measure.remove(element)
-        self._add_time_of(position - 1, 1)
+    def _remove(self, start: int, stop: int) -> None:
+        """Remove the elements from a position on up to another one."""
+        for position in range(start - 1, stop):
+            self._add_time_of(position, -1)
+        removed_elements = self.elements[start:stop]
+        # Together, because each removal at the front moves all later elements.
+        del self.elements[start:stop], self._ends[start:stop]
+        for element in removed_elements:
+            element.is_removed = True
+            for measure in self._measures:
+                measure.remove(element)
+        self._add_time_of(start - 1, 1)
 
     def _add_time_of(self, position: int, sign: int) -> None:
         """Add the time for which a value lasts, unless there is no such value or it is the last one."""
@@ -227,14 +230,16 @@ class HeldSignal:
 
     def remove_before(self, begin: int) -> None:
         """Remove the values that have ended at an instant."""
-        while self.elements and self._ends[0] + self._limit <= begin:
-            self._remove(0)
-        while len(self.elements) > 1 and self._ends[1] <= begin:
-            self._remove(0)
+        # Values end at their limit, and all but the last one at the begin of the next one.
+        ended = bisect_right(self._ends, begin - self._limit)
+        replaced = bisect_right(self._ends, begin) - 1
+        count = max(ended, replaced)
+        if count > 0:
+            self._remove(0, count)
 
     def remove_oldest(self) -> None:
         """Remove the first value."""
-        self._remove(0)
+        self._remove(0, 1)
 
     def is_replaced_before(self, end: int, begin: int) -> bool:
         """Return whether another value than that of an element with this end lasts at a later instant."""
