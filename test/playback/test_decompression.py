@@ -24,7 +24,7 @@ from malicious_bags import (  # noqa: E402
 )
 from subprocess_python_path import python_path
 
-from retalis.playback.decompression import ChunkLimit, copy_up_to, read_up_to, unpack  # noqa: E402
+from retalis.playback.decompression import ChunkLimit, ChunkLimitError, copy_up_to, read_up_to, unpack  # noqa: E402
 
 
 @pytest.mark.parametrize("compression", PACK)
@@ -59,12 +59,17 @@ def test_message_is_unpacked_up_to_limit() -> None:
     limit = ChunkLimit(1)
     assert limit.unpack_message(zstd(b"a" * MEGABYTE)) == b"a" * MEGABYTE
     with pytest.raises(
-        ValueError, match=r"expected at most 1 MB, the limit that --max-chunk-megabytes raises"
+        ChunkLimitError, match=r"expected at most 1 MB, the limit that --max-chunk-megabytes raises"
     ):
         limit.unpack_message(zstd(b"a" * (MEGABYTE + 1)))
     with pytest.raises(ValueError, match="it states 1000001 bytes: expected at most 1 MB"):
         limit.check(MEGABYTE + 1, "it states")
     limit.check(MEGABYTE, "it states")
+
+
+def test_large_limit_is_written_in_full() -> None:
+    with pytest.raises(ChunkLimitError, match="expected at most 1234567 MB"):
+        ChunkLimit(1_234_567).check(10**13, "it states")
 
 
 def test_stream_is_read_and_copied_up_to_size() -> None:

@@ -52,17 +52,17 @@ class ChunkLimit:
         """Decompress a message that was compressed with zstd, whose frame need not state the size.
 
         Raises:
-            ValueError: if the message exceeds the limit.
+            ChunkLimitError: if the message exceeds the limit.
         """
         data = read_up_to(zstd_reader(BytesIO(packed)), self.bytes + 1)
         if len(data) > self.bytes:
-            raise ValueError(
+            raise ChunkLimitError(
                 f"a compressed message has more bytes than allowed: expected {self._describe_limit()}"
             )
         return data
 
     def _describe_limit(self) -> str:
-        return f"at most {self._megabytes:g} MB, the limit that --max-chunk-megabytes raises"
+        return f"at most {self._megabytes} MB, the limit that --max-chunk-megabytes raises"
 
 
 def unpack(compression: str, packed: bytes, size: int) -> bytes:
