@@ -12,6 +12,13 @@ from retalis.prolog.machine.machine import LAST
 from retalis.prolog.system.prolog_system import PrologSystem
 
 
+def test_loaded_library_predicates_are_listed_once() -> None:
+    logic = PrologSystem()
+    assert answers(logic, "append([1], [2], S)") == [{"S": "[1,2]"}]
+    names = [key.name for key in logic.names() if (key.name, key.arity) == ("append", 3)]
+    assert names == ["append"]
+
+
 def test_predicates_are_defined_in_python() -> None:
     logic = PrologSystem()
 

@@ -341,12 +341,11 @@ class PredicateTable:
         )
 
     def names(self) -> Iterator[Functor]:
-        """Yield the functors of all defined predicates."""
-        for key, predicate in list(self.database.predicates.items()):
-            if predicate.is_defined:
-                yield key
-        for name, arity in self._library:
-            yield functor(name, arity)
+        """Yield the functors of all defined predicates, each once."""
+        keys = {key: None for key, predicate in self.database.predicates.items() if predicate.is_defined}
+        # Those of the library that have been loaded are among the predicates of the database, too.
+        keys.update((functor(name, arity), None) for name, arity in self._library)
+        yield from keys
 
     def _load_library(self, file_name: str) -> None:
         """Load a file of the library."""
