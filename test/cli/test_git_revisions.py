@@ -39,3 +39,23 @@ def test_links_inside_the_repository_are_kept(tmp_path: Path) -> None:
         assert (revision.program / "rules.txt").read_text() == "a <- b."
         assert revision.rename_paths(f"{revision.program}/x:1: wrong") == "HEAD:program/x:1: wrong"
     assert not revision.root.exists()
+
+
+def test_attributes_of_archives_are_ignored(tmp_path: Path) -> None:
+    (tmp_path / ".gitattributes").write_text("tests export-ignore\nrules.txt export-subst\n")
+    (tmp_path / "tests").mkdir()
+    (tmp_path / "tests" / "data.txt").write_text("facts")
+    (tmp_path / "rules.txt").write_text("% $Format:%H$")
+    run_git(tmp_path, "init")
+    run_git(tmp_path, "add", ".")
+    run_git(tmp_path, "commit", "-m", "first")
+    (tmp_path / "tests" / "new.txt").write_text("staged")
+    run_git(tmp_path, "add", ".")
+    with ExitStack() as stack:
+        revision = extract_revision("HEAD", tmp_path / "tests", stack)
+        assert [path.name for path in revision.program.iterdir()] == ["data.txt"]
+        assert (revision.root / "rules.txt").read_text() == "% $Format:%H$"
+    staged = subprocess.run(
+        ["git", "diff", "--cached", "--name-only"], cwd=str(tmp_path), stdout=subprocess.PIPE, check=True
+    )
+    assert staged.stdout == b"tests/new.txt\n"

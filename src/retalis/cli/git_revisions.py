@@ -2,11 +2,10 @@
 
 import os
 import subprocess
-import tarfile
 from contextlib import ExitStack
 from pathlib import Path
-from tempfile import TemporaryDirectory, TemporaryFile
-from typing import IO, NamedTuple, Union
+from tempfile import TemporaryDirectory
+from typing import Mapping, NamedTuple
 
 from ..foundation.errors import UsageError
 
@@ -44,13 +43,15 @@ def extract_revision(name: str, program: Path, stack: ExitStack) -> Revision:
     top = Path(_read_line(place, program, "--show-toplevel"))
     prefix = _read_line(place, program, "--show-prefix")
     commit = _find_commit(place, name, program)
-    root = Path(stack.enter_context(TemporaryDirectory(prefix="retalis-"))).resolve()
-    with TemporaryFile() as archive:
-        _run_git(place, top, archive, "archive", "--format=tar", commit)
-        archive.seek(0)
-        with tarfile.open(fileobj=archive) as tar:
-            _extract_files(tar, root)
-            _extract_links(tar, root)
+    folder = Path(stack.enter_context(TemporaryDirectory(prefix="retalis-"))).resolve()
+    root = folder / "files"
+    root.mkdir()
+    # An index of its own leaves that of the user unchanged. `git archive` would omit files with the attribute
+    # export-ignore, and change those with export-subst.
+    index = {"GIT_INDEX_FILE": str(folder / "index")}
+    _run_git(place, top, "read-tree", commit, variables=index)
+    _run_git(place, top, "checkout-index", "--all", "--quiet", f"--prefix={root}/", variables=index)
+    _remove_outside_links(root)
     if not (root / prefix).is_dir():
         raise UsageError(f"{place}: has no folder {prefix.rstrip('/')}: expected a revision with the program")
     return Revision(name, root, root / prefix)
@@ -69,44 +70,35 @@ def _find_commit(place: str, name: str, program: Path) -> str:
 
 
 def _read_line(place: str, folder: Path, *arguments: str) -> str:
-    output = _run_git(place, folder, subprocess.PIPE, "rev-parse", *arguments)
-    return os.fsdecode(output).rstrip("\n")
+    return os.fsdecode(_run_git(place, folder, "rev-parse", *arguments)).rstrip("\n")
 
 
-def _run_git(place: str, folder: Path, output: Union[int, IO[bytes]], *arguments: str) -> bytes:
-    """Run git in a folder; return its output if that is a pipe."""
+def _run_git(place: str, folder: Path, *arguments: str, variables: Mapping[str, str] = {}) -> bytes:
+    """Run git in a folder, with further environment variables; return its output."""
     try:
         process = subprocess.run(
-            ["git", "-C", str(folder), *arguments], stdout=output, stderr=subprocess.PIPE, check=True
+            ["git", "-C", str(folder), *arguments],
+            capture_output=True,
+            check=True,
+            env={**os.environ, **variables},
         )
     except FileNotFoundError:
         raise UsageError("--git needs the program git") from None
     except subprocess.CalledProcessError as error:
         text = error.stderr.decode("utf-8", "replace").strip()
         raise UsageError(f"{place}: {text}") from None
-    return process.stdout or b""
+    return process.stdout
 
 
-def _extract_files(tar: tarfile.TarFile, root: Path) -> None:
-    for member in tar:
-        target = root / member.name
-        # Names that lead out of the folder are not parts of a program.
-        if member.isfile() and _is_inside(target, root):
-            target.parent.mkdir(parents=True, exist_ok=True)
-            content = tar.extractfile(member)
-            assert content is not None
-            target.write_bytes(content.read())
-
-
-def _extract_links(tar: tarfile.TarFile, root: Path) -> None:
-    """Create the symbolic links, and remove those that lead out of the folder, if need be by other links."""
-    links = []
-    for member in tar:
-        target = root / member.name
-        if member.issym() and _is_inside(target, root) and not os.path.lexists(target):
-            target.parent.mkdir(parents=True, exist_ok=True)
-            target.symlink_to(member.linkname)
-            links.append(target)
+def _remove_outside_links(root: Path) -> None:
+    """Remove the symbolic links that lead out of the folder, if need be by other links."""
+    links = [
+        Path(folder, name)
+        for folder, folder_names, file_names in os.walk(root)
+        for name in (*folder_names, *file_names)
+        if os.path.islink(os.path.join(folder, name))
+    ]
+    # All are found before one is removed, because a link may lead out by another one.
     for link in [link for link in links if not _is_inside(link, root)]:
         link.unlink()
 
