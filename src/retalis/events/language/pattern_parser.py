@@ -16,7 +16,6 @@ from ...foundation.source_places import Place
 from ...prolog.machine.arithmetic import EVALUABLE
 from ...prolog.terms.list_terms import list_items
 from ...prolog.terms.term_traversal import variables
-from ...prolog.terms.timestamps import from_seconds
 from ...prolog.terms.types import (
     COMMA,
     CONS,
@@ -73,6 +72,7 @@ from .stream_parser import (
     parse_not_preceded,
     parse_rate_operator,
     parse_window,
+    positive_nanoseconds,
     regroup_rate_operator,
 )
 
@@ -341,11 +341,12 @@ class PatternReader:
             RuleError: if the argument is not a positive number.
         """
         seconds = deref(term[2])
-        if seconds.__class__ not in (int, float) or not seconds > 0 or seconds == float("inf"):
+        nanoseconds = positive_nanoseconds(seconds)
+        if nanoseconds is None:
             raise self.create_error(
                 f"{name} needs a positive number of seconds{bracket_advice(name, seconds)}", term, 2
             )
-        return from_seconds(seconds)
+        return nanoseconds
 
     def _read_timeout(self, name: str, term: CompoundTerm, first: Pattern) -> Union[int, Var]:
         """Return the time of a timeout in nanoseconds, or the variable of ``first`` that is bound to the seconds."""
