@@ -129,7 +129,7 @@ def compile_goal_action(
 
     Args:
         goal: the goal; its inputs are the values of the match, and it has no outputs.
-        input_count: number of inputs.
+        input_count: number of inputs, at least 1.
         rule: the rule.
         on_error: called with the error of the goal.
         general_path: the general path, for any event.
@@ -221,11 +221,9 @@ def compile_query_action(
         general_path: creates the event and dispatches it.
         meter: counts the pattern work of the rule; see `Budget.meter`.
     """
-    event_filter, ground, max_depth = (
-        dispatcher.event_filter(key),
-        dispatcher.ground,
-        dispatcher.max_recursive_depth,
-    )
+    event_filter = dispatcher.event_filter(key)
+    ground = dispatcher.ground
+    max_depth = dispatcher.max_recursive_depth
 
     def run_query_directly(term: Term, values: Optional[Values], start: int, end: int, frame: Frame) -> Frame:
         context = dispatcher.current

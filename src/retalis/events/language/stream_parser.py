@@ -141,13 +141,10 @@ def parse_not_preceded(reader: "PatternReader", term: CompoundTerm) -> Optional[
     operator: Any = deref(term[2])
     if operator.__class__ is not tuple or operator[0] is not NOT_PRECEDED:
         return None
-    pattern, negated = (
-        reader.read_operand(term, 1, "with"),
-        reader.read_operand(operator, 1, NOT_PRECEDED.name),
-    )
-    return NotPrecededPattern(
-        pattern, negated, parse_seconds(NOT_PRECEDED.name, operator, 2, reader.create_error)
-    )
+    pattern = reader.read_operand(term, 1, "with")
+    negated = reader.read_operand(operator, 1, NOT_PRECEDED.name)
+    span = parse_seconds(NOT_PRECEDED.name, operator, 2, reader.create_error)
+    return NotPrecededPattern(pattern, negated, span)
 
 
 def parse_rate_operator(

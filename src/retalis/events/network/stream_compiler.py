@@ -318,10 +318,8 @@ def compile_window_spec(
         position_of = positions(value_vars)
         navigated_vars = [*navigated_vars, ROW_START, ROW_END]
         measured_terms = [insert_stamps(value) for value in measured_terms]
-    build, navigated_positions = (
-        _compile_values_builder(measured_terms, value_vars),
-        [position_of[var] for var in navigated_vars],
-    )
+    build = _compile_values_builder(measured_terms, value_vars)
+    navigated_positions = [position_of[var] for var in navigated_vars]
     is_held = window_pattern.window.kind == "held"
     measured_kinds = [
         (kind, scope)
@@ -399,10 +397,8 @@ def compile_window_spec(
         or (window.kind == "every" and not window.running)
         or (is_held and window.step > 0)
     )
-    calls_goals, fusible_window = (
-        "fold" in window_pattern.kinds or DURATION in window_pattern.kinds,
-        _find_fusible_window(window_pattern, position_of, key_vars),
-    )
+    calls_goals = "fold" in window_pattern.kinds or DURATION in window_pattern.kinds
+    fusible_window = _find_fusible_window(window_pattern, position_of, key_vars)
     return StreamNodeSpec(
         lambda options: create_operator(),
         key_and_values,
