@@ -49,6 +49,9 @@ def count_complete_rows(path: Path, root_page: int) -> Tuple[int, bool]:
     Args:
         path: the database, which has no write-ahead log.
         root_page: number of the first page of the table.
+
+    Raises:
+        ValueError, struct.error: if the file has no header of a database.
     """
     count = 0
     with path.open("rb") as file:

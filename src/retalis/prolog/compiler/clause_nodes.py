@@ -278,10 +278,10 @@ class GoalNode:
 
     __slots__ = ("needed", "is_inline", "has_cut", "source")
 
-    def __init__(self, needed: FrozenSet[Needed], inline: bool, cuts: bool = False):
+    def __init__(self, needed: FrozenSet[Needed], is_inline: bool, has_cut: bool = False):
         self.needed = needed
-        self.is_inline = inline
-        self.has_cut = cuts
+        self.is_inline = is_inline
+        self.has_cut = has_cut
         self.source: Optional[Term] = None
 
 
@@ -297,8 +297,8 @@ class CallNode(GoalNode):
 
     __slots__ = ("form", "key", "args", "first_is_enough")
 
-    def __init__(self, form: str, key: Functor, args: Tuple[Term, ...], inline: bool):
-        super().__init__(frozenset(variables((key, *args))), inline)
+    def __init__(self, form: str, key: Functor, args: Tuple[Term, ...], is_inline: bool):
+        super().__init__(frozenset(variables((key, *args))), is_inline)
         self.form = form
         self.key = key
         self.args = args

@@ -36,6 +36,9 @@ COMPARE = functor("compare", 3)
 _MAX_EXPRESSION_PARTS = 60
 """Parts of a compound term that is built by an expression; larger terms are copied from a template."""
 
+_MAX_EXPRESSION_DEPTH = 12
+"""Nesting of such a term; Python limits that of expressions."""
+
 
 def fill(template: Term, old: Tuple[Var, ...], *new: Term) -> Term:
     """Return a copy of a template whose variables ``old`` are replaced by ``new``."""
@@ -386,7 +389,7 @@ class Scope:
 
 
 def is_large(term: Term) -> bool:
-    """Return whether a term has more than `_MAX_EXPRESSION_PARTS` parts or is nested too deeply for an expression."""
+    """Return whether a term has more parts or is nested deeper than an expression may be."""
     size = 0
     stack = [(term, 0)]
     while stack:
@@ -394,7 +397,7 @@ def is_large(term: Term) -> bool:
         item = deref(item)
         if item.__class__ is tuple:
             size += len(item)
-            if size > _MAX_EXPRESSION_PARTS or depth > 12:
+            if size > _MAX_EXPRESSION_PARTS or depth > _MAX_EXPRESSION_DEPTH:
                 return True
             stack.extend((arg, depth + 1) for arg in item[1:])
     return False
