@@ -17,6 +17,11 @@ def test_event_of_several_lines_is_one_line() -> None:
     assert (line, is_event) == ('{"robot": "r07", "time": 1}', True)
 
 
+def test_largest_payload_is_an_event() -> None:
+    payload = b'{"robot": "r07", "time": 1}'.ljust(1_000_000)
+    assert read_payload("retalis/r07/events", payload)[1]
+
+
 @pytest.mark.parametrize(
     ("topic", "payload", "reason"),
     [

@@ -44,7 +44,7 @@ def test_words_of_older_yaml_are_texts() -> None:
         ("a: [1", "mine.yaml:[12]:[0-9]: not valid YAML: while parsing a flow sequence"),
         ("a: 1\n---\nb: 2", "mine.yaml:2:1: not valid YAML: expected a single document"),
         ("\tx: 1", "mine.yaml:1:1: not valid YAML"),
-        ("[" * 4000, "mine.yaml"),
+        ("[" * 4000, "mine.yaml.*: not valid YAML: "),
         ("a: *b", "mine.yaml:1:[0-9]: not valid YAML: found undefined alias"),
     ],
 )

@@ -36,18 +36,20 @@ def test_rules_in_skipped_branch_are_not_loaded() -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "part"),
+    ("text", "line", "part"),
     [
-        ("a. :- else.", "no if before this else"),
-        ("a. :- endif.", "no if before this endif"),
-        ("a. :- elif(true).", "no if before this elif"),
-        ("a. :- if(true).", "this if has no endif"),
-        ("a. :- if(true). :- else. :- else. :- endif.", "an else before this else"),
-        ("a. :- if(true). :- else. :- elif(true). :- endif.", "an else before this elif"),
-        ("a. :- if(no_such_goal). b. :- endif.", "this condition raises an error"),
+        ("a.\n:- else.", 2, "no if before this else"),
+        ("a.\n:- endif.", 2, "no if before this endif"),
+        ("a.\n:- elif(true).", 2, "no if before this elif"),
+        ("a.\n:- if(true).", 2, "this if has no endif"),
+        ("a.\n:- if(true).\n:- else.\n:- else.\n:- endif.", 4, "an else before this else"),
+        ("a.\n:- if(true).\n:- else.\n:- elif(true).\n:- endif.", 4, "an else before this elif"),
+        ("a.\n:- if(no_such_goal).\nb.\n:- endif.", 2, "this condition raises an error"),
     ],
 )
-def test_unbalanced_directive_is_reported_at_position(text: str, part: str) -> None:
+def test_unbalanced_directive_is_reported_at_position(text: str, line: int, part: str) -> None:
     program = ProgramRunner(text)
-    assert [part in warning.message and warning.place.line == 1 for warning in program.warnings] == [True]
+    (warning,) = program.warnings
+    assert part in warning.message
+    assert warning.place.line == line
     assert defined_predicates(program) == "a"
