@@ -128,7 +128,12 @@ class Relay:
                 client, _ = self._server.accept()
             except OSError:
                 return
-            server = socket.create_connection(self._target)
+            try:
+                server = socket.create_connection(self._target)
+            except OSError:
+                # The broker is down: later clients may reach it again.
+                client.close()
+                continue
             self._sockets += [client, server]
             for source, target in ((client, server), (server, client)):
                 self._threads.append(threading.Thread(target=self._pass_on, args=(source, target)))
