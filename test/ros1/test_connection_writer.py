@@ -5,7 +5,7 @@ import threading
 import time
 from struct import pack, unpack_from
 from types import SimpleNamespace
-from typing import Any, Iterator, List, Set
+from typing import Any, Callable, Iterator, List, Set
 
 import pytest
 
@@ -81,11 +81,23 @@ def end_identification(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
 
 
 @pytest.fixture
-def link() -> Iterator[Any]:
-    connection = Link()
-    yield connection
-    connection.socket.close()
-    connection.other.close()
+def make_link() -> Iterator[Callable[[], Any]]:
+    """Return a function that makes a connection; all are closed after the test."""
+    links: List[Link] = []
+
+    def make() -> Link:
+        links.append(Link())
+        return links[-1]
+
+    yield make
+    for connection in links:
+        connection.socket.close()
+        connection.other.close()
+
+
+@pytest.fixture
+def link(make_link: Any) -> Any:
+    return make_link()
 
 
 @pytest.fixture
@@ -330,12 +342,12 @@ def connect(writer: Any, new_link: Any) -> Any:
     return lambda: writer.publisher.listener.peer_subscribe("/topic", print, print)
 
 
-def test_late_subscriber_gets_latched_message_once(make_writer: Any, link: Any) -> None:
+def test_late_subscriber_gets_latched_message_once(make_writer: Any, link: Any, make_link: Any) -> None:
     writer = make_writer(latched=True)
     for number in range(2):
         writer.send(numbered_message(number))
     assert link.read(1) == [0, 1]
-    before, between, after = Link(), Link(), Link()
+    before, between, after = make_link(), make_link(), make_link()
     connect(writer, before)()
     notify = connect(writer, between)
     writer.send(numbered_message(2))
@@ -351,13 +363,11 @@ def test_late_subscriber_gets_latched_message_once(make_writer: Any, link: Any) 
     ]
 
 
-def test_latched_topic_without_message_sends_nothing(make_writer: Any, link: Any) -> None:
-    writer, subscriber = make_writer(latched=True), Link()
+def test_latched_topic_without_message_sends_nothing(make_writer: Any, link: Any, make_link: Any) -> None:
+    writer, subscriber = make_writer(latched=True), make_link()
     connect(writer, subscriber)()
     writer.send(numbered_message(0))
-    assert link.read(0) == [0]
-    subscriber.socket.close()
-    subscriber.other.close()
+    assert [connection.read(0) for connection in (link, subscriber)] == [[0], [0]]
 
 
 def test_texts_are_written_together_in_order(
@@ -413,7 +423,7 @@ def test_outputs_are_sent_to_interface_in_order(
     assert set(services) == {"add_input_subscription"}
 
 
-def test_only_published_outputs_wait_for_interface(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_only_published_outputs_wait_for_interface(monkeypatch: pytest.MonkeyPatch, make_link: Any) -> None:
     connections: List[Any] = []
     written: List[Any] = []
     listeners: List[Any] = []
@@ -436,7 +446,7 @@ def test_only_published_outputs_wait_for_interface(monkeypatch: pytest.MonkeyPat
         writer.send(topic, write(text))
     assert (written, reports.warnings) == (["s", "a", "b"], 1)  # the queue holds two
     for expected in (b"sab", b"sc"):
-        link = Link()
+        link = make_link()
         monkeypatch.setattr(
             late_peer_buffer, "find_nodes_offering", lambda service, name=link.endpoint_id: {name}
         )
@@ -448,5 +458,3 @@ def test_only_published_outputs_wait_for_interface(monkeypatch: pytest.MonkeyPat
         assert read_until(link, chr(expected[-1])) == b"".join(
             serialize_string(chr(byte)) for byte in expected
         )
-        link.socket.close()
-        link.other.close()
