@@ -15,6 +15,7 @@ from typing import Any, Iterator, List
 
 import pytest
 from forwarding.mosquitto import NEEDS_BROKER, Broker, wait_until
+from subprocess_python_path import python_path
 
 from retalis import UsageError
 from retalis.fleet.robot_events import read_robot_event
@@ -183,7 +184,7 @@ def test_killed_process_loses_no_stored_event(
         with subprocess.Popen(
             [sys.executable, "-c", PROCESS, *arguments],
             stdout=subprocess.PIPE,
-            env={"PYTHONPATH": ":".join(filter(None, sys.path))},
+            env={**os.environ, "PYTHONPATH": python_path()},
         ) as process:
             assert process.stdout is not None
             process.stdout.readline()
