@@ -49,6 +49,8 @@ class TimedMatch(NamedTuple):
 
     match: Match
     arrival: int
+    allowed_keys: Tuple[Any, ...] = ()
+    """Keys of the negations that allow the match, tested since its operands were stored."""
 
 
 def defined_for(rules: Sequence[Rule]) -> bool:
@@ -94,20 +96,28 @@ class Combinations:
         self.now: Optional[int] = None
         self._allowed_keys: Set[Any] = set()
 
+    def stored_matches(self, node: Pattern, events: Sequence[Event]) -> List[TimedMatch]:
+        """Return all matches of a pattern, which fire or are operands: later events do not suppress them."""
+        matches = self.timed_matches(node, events)
+        for match in matches:
+            self._allowed_keys.update(match.allowed_keys)
+        return matches
+
     def timed_matches(self, node: Pattern, events: Sequence[Event]) -> List[TimedMatch]:
-        """Return all matches of a pattern."""
+        """Return all matches of a pattern.
+
+        A match that one condition suppresses is tested by all of them when it is tried again.
+        """
         operator, conditions = strip(node)
         matches = self._operator(operator, events, conditions)
         absences = {
-            condition: self.timed_matches(condition.absent, events)
+            condition: self.stored_matches(condition.absent, events)
             for condition in conditions
             if isinstance(condition, Without)
         }
         result: List[Any] = []
-        for match, arrival in matches:
+        for match, arrival, keys in matches:
             passed = self.tests.settle(match, operator)
-            # A pair that one condition suppresses is tested by all of them when it is tried again.
-            allowed_keys: Set[Any] = set() if isinstance(operator, Both) else self._allowed_keys
             for condition in conditions:
                 if passed is None:
                     break
@@ -116,14 +126,15 @@ class Combinations:
                     continue
                 absent_arrivals = [
                     r_arrival
-                    for r, r_arrival in absences[condition]
+                    for r, r_arrival, _ in absences[condition]
                     if r.start < passed.end and passed.start < r.end and self.tests.agree(r, passed.bindings)
                 ]
-                if not self._is_allowed(condition, passed, arrival, absent_arrivals, allowed_keys):
+                key = self._key_of(condition, passed)
+                keys = (*keys, key)
+                if not self._is_allowed(key, arrival, absent_arrivals):
                     passed = None
             if passed is not None:
-                self._allowed_keys |= allowed_keys
-                result.append(TimedMatch(passed, arrival))
+                result.append(TimedMatch(passed, arrival, keys))
         return result
 
     def _operator(
@@ -137,31 +148,31 @@ class Combinations:
             return [pair for _, _, pair in self._pairs(node, events)]
         if isinstance(node, Do):
             solutions = [
-                (first(node.goal, match.bindings), match, arrival)
-                for match, arrival in self.timed_matches(node.pattern, events)
+                (first(node.goal, match.bindings), match, arrival, keys)
+                for match, arrival, keys in self.timed_matches(node.pattern, events)
             ]
             return [
-                TimedMatch(replace(match, bindings=b), arrival)
-                for b, match, arrival in solutions
+                TimedMatch(replace(match, bindings=b), arrival, keys)
+                for b, match, arrival, keys in solutions
                 if b is not None
             ]
         if isinstance(node, Multiply):
             return [
-                TimedMatch(replace(match, bindings=bindings), arrival)
-                for match, arrival in self.timed_matches(node.pattern, events)
+                TimedMatch(replace(match, bindings=bindings), arrival, keys)
+                for match, arrival, keys in self.timed_matches(node.pattern, events)
                 for bindings in all_solutions(node.goal, match.bindings)
             ]
         if isinstance(node, Instant):
             return [
-                TimedMatch(instant_of(node, match), arrival)
-                for match, arrival in self.timed_matches(node.pattern, events)
+                TimedMatch(instant_of(node, match), arrival, keys)
+                for match, arrival, keys in self.timed_matches(node.pattern, events)
             ]
         assert isinstance(node, (Cnot, Fnot))
         return self._absent(node, events)
 
     def _pairs(self, node: Both, events: Sequence[Event]) -> Iterable[Tuple[Match, Match, TimedMatch]]:
         # Both sides are evaluated at each event, also if one has no match: negations remember what they have allowed.
-        lefts, rights = (list(self.timed_matches(side, events)) for side in (node.left, node.right))
+        lefts, rights = (self.stored_matches(side, events) for side in (node.left, node.right))
         for p in lefts:
             for q in rights:
                 in_time = node.kind != "seq" or self.out_of_order or p.arrival < q.arrival
@@ -173,50 +184,43 @@ class Combinations:
                     yield p.match, q.match, TimedMatch(match, max(p.arrival, q.arrival))
 
     def _absent(self, node: Any, events: Sequence[Event]) -> Iterable[TimedMatch]:
-        absent = self.timed_matches(node.absent, events)
+        absent = self.stored_matches(node.absent, events)
         inner, between = strip(node.pattern)
         if isinstance(node, Cnot) and isinstance(inner, Both) and inner.kind == "seq":
             tests = [self.tests.test_of(condition) for condition in between]
-            for p, q, (match, arrival) in self._pairs(inner, events):
+            for p, q, (match, arrival, _) in self._pairs(inner, events):
                 passed = self.tests.passes(match, tests)
-                if passed is not None and self._is_allowed(
-                    node,
-                    passed,
-                    arrival,
-                    [
-                        r_arrival
-                        for r, r_arrival in absent
-                        if p.end < r.start and r.end < q.start and self.tests.agree(r, passed.bindings)
-                    ],
-                    self._allowed_keys,
-                ):
-                    yield TimedMatch(passed, arrival)
-        else:
-            for match, arrival in self.timed_matches(node.pattern, events):
+                if passed is None:
+                    continue
                 absent_arrivals = [
                     r_arrival
-                    for r, r_arrival in absent
+                    for r, r_arrival, _ in absent
+                    if p.end < r.start and r.end < q.start and self.tests.agree(r, passed.bindings)
+                ]
+                key = self._key_of(node, passed)
+                if self._is_allowed(key, arrival, absent_arrivals):
+                    yield TimedMatch(passed, arrival, (key,))
+        else:
+            for match, arrival, keys in self.timed_matches(node.pattern, events):
+                absent_arrivals = [
+                    r_arrival
+                    for r, r_arrival, _ in absent
                     if r.end < match.start and self.tests.agree(r, match.bindings)
                 ]
-                if self._is_allowed(node, match, arrival, absent_arrivals, self._allowed_keys):
-                    yield TimedMatch(match, arrival)
+                key = self._key_of(node, match)
+                if self._is_allowed(key, arrival, absent_arrivals):
+                    yield TimedMatch(match, arrival, (*keys, key))
 
-    def _is_allowed(
-        self, node: Any, match: Match, arrival: int, absent_arrivals: List[int], allowed_keys: Set[Any]
-    ) -> bool:
-        """Return whether nothing suppresses a match, given the arrivals of the events that would.
+    @staticmethod
+    def _key_of(node: Pattern, match: Match) -> Any:
+        """Return the key of a match that a negation has tested."""
+        return id(node), match.variant(), tuple(sorted(match.numbers))
 
-        The key of a match that nothing suppresses is added to ``allowed_keys``.
-        """
+    def _is_allowed(self, key: Any, arrival: int, absent_arrivals: List[int]) -> bool:
+        """Return whether nothing suppresses the match of a key, given the arrivals of the events that would."""
         if any(r_arrival <= arrival for r_arrival in absent_arrivals):
             return False
-        key = (id(node), match.variant(), tuple(sorted(match.numbers)))
-        if self.now is None or key in self._allowed_keys:
-            return True
-        if arrival < self.now and absent_arrivals:
-            return False
-        allowed_keys.add(key)
-        return True
+        return self.now is None or key in self._allowed_keys or arrival == self.now or not absent_arrivals
 
 
 def firings(
@@ -234,7 +238,7 @@ def firings(
     clocks = list(accumulate((event.end for event in events), max))
     combinations = Combinations(rule, out_of_order)
     results: List[CounterOf[Tuple[str, Any, Any]]] = [Counter() for _ in events]
-    for match, arrival in combinations.timed_matches(combinations.tests.pattern, events):
+    for match, arrival, _ in combinations.timed_matches(combinations.tests.pattern, events):
         if not combinations.tests.in_window(match):
             continue
         if youngest is not None and any(

@@ -60,6 +60,8 @@ class Match:
     """Tests that are not decided yet: `Pending` and `Gap`."""
     composed: bool = False
     """Whether it counts as composed although it has one event: a window of one element, or one with a deadline."""
+    allowed_gaps: Tuple[Gap, ...] = ()
+    """Gaps that were tested since it was joined; a retraction tests a suppressed match by them again."""
     along: bool = False
     """Whether it consists of a late start of a run and earlier events; it is processed together with the start."""
 

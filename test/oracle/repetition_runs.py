@@ -142,7 +142,7 @@ class IdentifyingRepetitions(Conditions):
         return RESULTS[node.kind](run.values)
 
     def _result(self, node: Any, run: Run, conditions: List[Pattern]) -> List[Match]:
-        match = run.now
+        match = replace(run.now, allowed_gaps=())
         if not self.in_window(match):
             return []
         if isinstance(node, Aggregate):

@@ -132,11 +132,11 @@ class Recombined:
 
     def _matches_by_combination(self) -> Dict[Any, Tuple[str, Any, Any]]:
         """Return the results of all events that were not retracted, by their combination."""
-        matches: List[TimedMatch] = self.combinations.timed_matches(
+        matches: List[TimedMatch] = self.combinations.stored_matches(
             self.combinations.tests.pattern, self.events
         )
         holding: Dict[Any, Any] = {}
-        for match, _ in matches:
+        for match, _, _ in matches:
             bindings = match.bindings if self.rule.do is None else first(self.rule.do, match.bindings)
             if bindings is not None:
                 key: Any = (match.variant(), tuple(sorted(match.numbers)))
@@ -286,9 +286,15 @@ class RevisedState(RuleState):
         if self.reviving:
             candidates = suppressed + candidates
             suppressed[:] = []
-        rejected = [match for match in candidates if self.allowed(node, match) is None]
-        suppressed += rejected
-        return [match for match in candidates if match not in rejected]
+        results: List[Match] = []
+        for match in candidates:
+            is_forbidden = any(self.forbidden(gap, match.bindings) for gap in match.allowed_gaps)
+            allowed = None if is_forbidden else self.allowed(node, match)
+            if allowed is None:
+                suppressed.append(match)
+            else:
+                results.append(allowed)
+        return results
 
     def _in_order(self, node: Both, sides: Sides, fit: Fit) -> List[Match]:
         """Extend `RuleState`: the partners of a released side are those that it could have had."""

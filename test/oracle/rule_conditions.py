@@ -156,7 +156,9 @@ class Conditions:
         """Return a match unless a forbidden event is known to rule it out, else None."""
         if self.waits_for_left(gap.node, match.bindings, gap.node):
             return replace(match, pending=(*match.pending, gap))
-        return None if self.forbidden(gap, match.bindings) else match
+        if self.forbidden(gap, match.bindings):
+            return None
+        return replace(match, allowed_gaps=(*match.allowed_gaps, gap))
 
     @staticmethod
     def passes(match: Match, tests: Iterable[Test]) -> Optional[Match]:

@@ -75,6 +75,14 @@ def test_pair_is_tested_by_all_conditions_again() -> None:
         assert sum(n for step in steps for event, n in step.items() if event[0] == "out") == expected
 
 
+@pytest.mark.parametrize("policy", ["recent", "unrestricted"])
+@pytest.mark.parametrize("pattern", ["fnot(fnot(a,c),r)", "fnot(or(fnot(a,c),b),r)"])
+def test_inner_negation_suppresses_retried_match(pattern: str, policy: str) -> None:
+    events = stream("r@2-5 a@6-7 c@3-4 rev(r)@8 rev(c)@9")
+    steps = run_with_retraction([rule("out", pattern)], events, policy, False)
+    assert [sum(n for event, n in step.items() if event[0] == "out") for step in steps] == [0, 0, 0, 0, 1]
+
+
 def test_second_side_of_forall_seq_takes_released_first_side() -> None:
     pattern = "without(forall_seq(a(X),b),c)"
     steps = run_with_retraction(
