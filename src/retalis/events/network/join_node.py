@@ -68,6 +68,7 @@ from .pattern_nodes import (
     OperandBuffer,
     checks_of_negations,
     computed_values_getter,
+    part_of,
 )
 
 if TYPE_CHECKING:
@@ -248,7 +249,8 @@ class JoinNode(NetworkNode):
         """Connect all but the left operand; return the action for its matches, and the function that fuses it."""
         operator = self.operator
         self.emit = emit
-        self.join_pair = self._compile_join(True)
+        self._test_pair = self._compile_join(True)
+        self.join_pair = self._record_suppressed_joins(self._test_pair, True)
         self.left_buffer.partner_bounds = interval_bounds(operator.name, self.span, False)
         self.right_buffer.partner_bounds = interval_bounds(operator.name, self.span, True)
         self.left_buffer.min_end_for = None
@@ -298,7 +300,7 @@ class JoinNode(NetworkNode):
         flipped_positions = tuple(
             (right_position, left_position) for left_position, right_position in self.join_positions
         )
-        join = self._compile_join(False)
+        join = self._record_suppressed_joins(self._compile_join(False), False)
         if self._revives_operands(options) and self.right_can_be_revived:
             join = join_in_order(self.rule.network.tracker.current_number, join)
         stores_unmatched, stores_matched = (
@@ -492,12 +494,13 @@ class JoinNode(NetworkNode):
         parts = "(l, r, ComputedValues(own(values)))" if len(self.vars) > received_count else "(l, r)"
         lines.append(f"    return Match(values, start, end, None, None, {parts})")
         join: Join = shared_function("\n".join(lines) + "\n", namespace, f"join by {operator.name}")
-        if self.rule.options.tracks_events and (self.negations or self.deferred_negations):
-            return self._record_suppressed_joins(join, left_arrives)
         return join
 
     def _record_suppressed_joins(self, join: Join, left_arrives: bool) -> Join:
+        """Return a join that records the pairs that a negated match suppresses, if a retraction may release them."""
         rule, tracker = self.rule, self.rule.network.tracker
+        if not rule.options.tracks_events or not (self.negations or self.deferred_negations):
+            return join
 
         def join_and_record(
             match: PartialMatch,
@@ -535,6 +538,11 @@ class JoinNode(NetworkNode):
             if self.operator.completes_in_any_order:
                 right.discard()
         return self.emit(result, frame)
+
+    def still_allows(self, match: PartialMatch) -> bool:
+        """See `NetworkNode.still_allows`."""
+        left, right = part_of(match, 0, self.left), part_of(match, 1, self.right)
+        return left is None or right is None or self._test_pair(left, right) is not None
 
     def _stores_right(self, options: NetworkOptions) -> bool:
         return self.operator.completes_in_any_order or options.out_of_order

@@ -280,6 +280,28 @@ class NetworkNode(StateOwner):
         """Return whether ``retry`` accepts a match, or two matches, that a negated match has prevented."""
         return False
 
+    # ---- retraction ----------------------------------------------------------------------------------
+
+    def still_allows(self, match: PartialMatch) -> bool:
+        """Return whether the negated patterns of the node, and of those below it, still allow one of its matches.
+
+        Matches that are stored further down, such as operands and repetitions, are not tested again.
+        """
+        return True
+
+
+def part_of(match: PartialMatch, position: int, node: NetworkNode) -> Optional[PartialMatch]:
+    """Return the match of a node that another match was made of; None for a restored match that has none there."""
+    parts: Any = match.parts or ()
+    part = parts[position] if position < len(parts) else None
+    return part if part.__class__ is PartialMatch and node.accepts(part) else None
+
+
+def still_allows_child(match: PartialMatch, child: NetworkNode) -> bool:
+    """Return whether a node still allows the match that the node above it has converted."""
+    part = part_of(match, 0, child)
+    return part is None or child.still_allows(part)
+
 
 class BoundedNode(NamedTuple):
     """Node of a rule with its bounds.
@@ -431,6 +453,13 @@ class FilterNode(NetworkNode):
 
         self.child.bind(on_match, options)
 
+    def still_allows(self, match: PartialMatch) -> bool:
+        """See `NetworkNode.still_allows`."""
+        # If no condition adds a variable, the match has the values and the interval of the one below.
+        if len(self.vars) == len(self.child.vars):
+            return self.child.still_allows(match)
+        return still_allows_child(match, self.child)
+
     def bind_values(self, completion: Continuation) -> None:
         """Connect the node; see `NetworkNode.bind_values`."""
         complete = completion.action
@@ -465,6 +494,10 @@ class BindNode(NetworkNode):
 
         self.child.bind(on_match, options)
 
+    def still_allows(self, match: PartialMatch) -> bool:
+        """See `NetworkNode.still_allows`."""
+        return len(match.parts or ()) != 1 or still_allows_child(match, self.child)
+
 
 class InstantNode(NetworkNode):
     """Passes on each match with the interval of one instant: its end or its start.
@@ -489,6 +522,10 @@ class InstantNode(NetworkNode):
             return emit(PartialMatch(match.values, start, start, match.event, None, (match,)), frame)
 
         self.child.bind(on_match_at_end if self.at_end else on_match_at_start, options)
+
+    def still_allows(self, match: PartialMatch) -> bool:
+        """See `NetworkNode.still_allows`."""
+        return len(match.parts or ()) != 1 or still_allows_child(match, self.child)
 
 
 class EndNode(NetworkNode):
@@ -569,6 +606,16 @@ class OrNode(NetworkNode):
 
         return count_match
 
+    def still_allows(self, match: PartialMatch) -> bool:
+        """See `NetworkNode.still_allows`."""
+        parts: Any = match.parts
+        index = parts[0] if parts else None
+        if index.__class__ is not int or not 0 <= index < len(self.children):
+            return True
+        branch = self.children[index]
+        part = part_of(match, 1, branch)
+        return part is None or branch.still_allows(part)
+
 
 class ActionNode(NetworkNode):
     """Calls a goal for each match: once, or for all of its solutions.
@@ -642,6 +689,10 @@ class ActionNode(NetworkNode):
             options,
         )
 
+    def still_allows(self, match: PartialMatch) -> bool:
+        """See `NetworkNode.still_allows`."""
+        return still_allows_child(match, self.child)
+
     def bind_values(self, completion: Continuation) -> None:
         """Connect the node; see `NetworkNode.bind_values`."""
         rule_goal = self.rule_goal
@@ -695,9 +746,15 @@ class NotNode(NetworkNode):
                 return frame
             return emit(match, frame)
 
-        self.retry = _ignore_skipped(self, on_match)
+        self.retry = _test_again(self, on_match)
         self.child.bind(on_match, options)
         negation.bind(self.negated, options)
+
+    def still_allows(self, match: PartialMatch) -> bool:
+        """See `NetworkNode.still_allows`."""
+        return self.child.still_allows(match) and not self.negation.forbids_pair(
+            match.values, match.start, match.start
+        )
 
     def buffers(self) -> Sequence[OperandBuffer]:
         """Return the buffers of the node."""
@@ -760,10 +817,14 @@ class EarlyTestNode(NetworkNode):
                 tested_match = PartialMatch(values, match.start, match.end, match.event, None, (match,))
             return emit(tested_match, frame)
 
-        self.retry = _ignore_skipped(self, on_match)
+        self.retry = _test_again(self, on_match)
         self.child.bind(on_match, options)
         for negation, negated in self.deferred_negations:
             negation.bind(negated, options)
+
+    def still_allows(self, match: PartialMatch) -> bool:
+        """See `NetworkNode.still_allows`."""
+        return self.child.still_allows(match) and self.test(match.values, match.start, match.end) is not None
 
     def buffers(self) -> Sequence[OperandBuffer]:
         """Return the buffers of the node."""
@@ -778,9 +839,21 @@ class EarlyTestNode(NetworkNode):
         return isinstance(match_or_pair, PartialMatch) and self.child.accepts(match_or_pair)
 
 
-def _ignore_skipped(node: Union[NotNode, EarlyTestNode], emit: Emit) -> Emit:
-    """Return an action for matches that were suppressed, which ignores those that a match has skipped meanwhile."""
-    skip_state = node.rule.skip_state
-    if skip_state is None or node.is_negated:
-        return emit
-    return lambda match, frame: emit(match, frame) if skip_state.accepts_start(match.start) else frame
+def _test_again(node: Union[NotNode, EarlyTestNode], emit: Emit) -> Emit:
+    """Return an action for matches that were suppressed, which ignores those that a match has skipped meanwhile.
+
+    Negated patterns below may have matched since the match was suppressed, so they are tested again.
+    """
+    rule = node.rule
+    skip_state = None if node.is_negated else rule.skip_state
+
+    def retry(match: PartialMatch, frame: Frame) -> Frame:
+        if skip_state is not None and not skip_state.accepts_start(match.start):
+            return frame
+        rule.blocking_match = None
+        if node.child.still_allows(match):
+            return emit(match, frame)
+        rule.network.tracker.record_suppressed(node, match)
+        return frame
+
+    return retry
