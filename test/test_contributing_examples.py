@@ -165,7 +165,7 @@ event(third(4),[4,4]).
 
 
 def test_aggregate_and_rate_operator_are_added(tmp_path: Path) -> None:
-    """Both are parsed and evaluated; ``test_extension_points`` tests snapshots of both."""
+    """Both are parsed and evaluated; ``test_extension_snapshots`` tests snapshots of both."""
     tree = Tree(tmp_path, "An aggregate (`avg`)", "A rate operator (`burst`)")
     (tmp_path / "rules.txt").write_text(STREAM_RULES)
     (tmp_path / "stream.txt").write_text(STREAM)
