@@ -202,6 +202,10 @@ def test_silent_robot_is_forgotten(folder: Path) -> None:
     fire(robots, store, store.now)
     assert store.values == {}
     assert store.counts["forgotten"] == 1
+    # A timer of an alarm that is left does not create the robot again.
+    store.domain = TimeDomain.EVENT_TIME
+    assert fire(robots, store, 11_000) == []
+    assert store.values == {}
 
 
 def test_number_of_engines_is_limited(folder: Path) -> None:

@@ -1,10 +1,14 @@
 """Lines for the messages of a broker: events of a robot's own topic, and refusals with their reasons."""
 
 import json
+import socket
+import time
+from pathlib import Path
 
 import pytest
 
-from retalis.fleet.mqtt_bridge import read_payload
+from retalis.fleet import mqtt_bridge
+from retalis.fleet.mqtt_bridge import MqttBridge, read_payload
 
 
 def test_event_of_own_topic_is_unchanged() -> None:
@@ -40,3 +44,22 @@ def test_other_message_is_refused(topic: str, payload: bytes, reason: str) -> No
     assert not is_event
     assert len(line) < 6000
     assert json.loads(line)["refused"].startswith(f"topic '{topic}': {reason}")
+
+
+def test_bridge_waits_after_end_of_connection(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("paho.mqtt.enums", reason="needs paho-mqtt 2")
+    monkeypatch.setattr(mqtt_bridge, "RETRY_SECONDS", 0.05)
+    ends = []
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        server.setblocking(False)
+
+        def end_connection() -> bool:
+            try:
+                server.accept()[0].close()
+            except BlockingIOError:
+                return False
+            ends.append(time.monotonic())
+            return len(ends) == 3
+
+        MqttBridge("127.0.0.1", server.getsockname()[1], tmp_path / "log").run(end_connection)
+    assert ends[2] - ends[0] >= 0.1

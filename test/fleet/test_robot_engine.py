@@ -104,8 +104,10 @@ def test_number_of_sessions_is_limited(folder: Path) -> None:
     robot = RobotEngine(FleetProgram(folder))
     for session in range(9):
         process(robot, 1, "smoke(hall)", id=1, session=str(session))
-    assert process(robot, 1, "smoke(hall)", id=1, session="1").is_repeated
-    assert not process(robot, 1, "smoke(hall)", id=1, session="0").is_repeated
+        process(robot, 1, "smoke(hall)", id=session, session="in use")
+    assert process(robot, 1, "smoke(hall)", id=8, session="in use").is_repeated
+    assert process(robot, 1, "smoke(hall)", id=1, session="2").is_repeated
+    assert not process(robot, 1, "smoke(hall)", id=1, session="1").is_repeated
 
 
 def test_event_behind_watermark_and_robot_is_late(folder: Path) -> None:

@@ -312,6 +312,8 @@ class Robots(KeyedProcessFunction):
         if context.time_domain() == TimeDomain.PROCESSING_TIME:
             self._forget(name, context)
             return
+        if self._seen.value() is None:
+            return  # the state has been deleted
         resident = self._find(name)
         resident.timer = None
         robot, limit = resident.robot, timestamp * MILLISECOND

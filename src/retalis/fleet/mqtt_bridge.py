@@ -97,6 +97,8 @@ class MqttBridge:
                 log.warning("MQTT: the connection to %s:%s ended", *self._address)
                 self._messages.clear()
                 is_connected = False
+                # A broker that refuses the bridge ends each connection at once.
+                time.sleep(RETRY_SECONDS)
         self._client.disconnect()
         self._writer.close()
 

@@ -28,7 +28,7 @@ ON_CHANGE = (REFUSE, RELOAD)
 """What a restored robot does if its program has changed: raise an error, or load the program and keep its state."""
 
 MAX_SESSIONS = 8
-"""Maximum number of sessions of a robot whose last event is remembered; the oldest is forgotten."""
+"""Maximum number of sessions of a robot whose last event is remembered; the least recently used is forgotten."""
 
 BEFORE_ALL = -1
 """Watermark before all events, in nanoseconds."""
@@ -267,7 +267,9 @@ class RobotEngine:
             self.fire_alarms(int(text))
 
     def _remember(self, session: str, number: int) -> None:
-        if session not in self._last_ids and len(self._last_ids) >= MAX_SESSIONS:
+        # The last one is the newest, so that a session in use is never forgotten.
+        self._last_ids.pop(session, None)
+        if len(self._last_ids) >= MAX_SESSIONS:
             del self._last_ids[next(iter(self._last_ids))]
         self._last_ids[session] = number
 
@@ -300,7 +302,7 @@ class _StateHeader(NamedTuple):
     Attributes:
         digest: digest of the program.
         output_count: number of outputs.
-        last_ids: number of the last event of each session, in the order of their first events.
+        last_ids: number of the last event of each session, in the order of these events.
     """
 
     digest: str
