@@ -1,14 +1,16 @@
 """The queue of events in a file: order, ids, limits, restarts, damage."""
 
+import resource
 import sqlite3
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, List
+from typing import Any, Iterator, List
 
 import pytest
 
 from retalis import UsageError
 from retalis.forwarding import disk_queue
-from retalis.forwarding.disk_queue import DiskQueue, ForwardedEvent
+from retalis.forwarding.disk_queue import DiskQueue, ForwardedEvent, QueueFailed
 
 MEGABYTE = 1_000_000
 
@@ -25,6 +27,17 @@ def events(*texts: str) -> List[ForwardedEvent]:
 def take_all(queue: DiskQueue) -> List[Any]:
     """Take the events that are not in flight; return their ids and texts."""
     return [(queued.id, queued.event.text) for queued in queue.take(10_000, 100 * MEGABYTE)]
+
+
+@contextmanager
+def limited_file_size(max_bytes: int) -> Iterator[None]:
+    """Let this process write no file beyond a size: SQLite reports an input or output error."""
+    soft_limit, hard_limit = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (max_bytes, hard_limit))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft_limit, hard_limit))
 
 
 def test_events_have_increasing_ids(path: Path) -> None:
@@ -54,6 +67,36 @@ def test_events_in_flight_return_to_queue(path: Path) -> None:
     queue.rewind()
     assert take_all(queue) == [(2, "b"), (3, "c")]
     assert queue.count == 2
+    queue.close()
+
+
+def test_events_stay_in_flight_after_write_error(path: Path) -> None:
+    queue = DiskQueue(path, MEGABYTE)
+    queue.append(events("a", "b"))
+    session = queue.take(2, 100)[0].session
+    with limited_file_size(60_000), pytest.raises(QueueFailed, match="disk I/O error"):
+        queue.append(events("c" * 100_000))
+    queue.append(events("d"))
+    assert take_all(queue) == [(4, "d")]
+    queue.confirm(session, 2, 2)
+    assert queue.count == 1
+    queue.close()
+
+
+def test_text_that_cannot_be_encoded_affects_no_later_event(path: Path) -> None:
+    queue = DiskQueue(path, MEGABYTE)
+    with pytest.raises(UnicodeEncodeError):
+        queue.append(events("a", "\ud800"))
+    queue.append(events("b"))
+    assert take_all(queue) == [(3, "b")]
+    queue.close()
+
+
+def test_size_is_that_of_encoded_texts(path: Path) -> None:
+    queue = DiskQueue(path, MEGABYTE)
+    for _ in range(2):
+        queue.append(events("\U0001f600" * 150_000))
+    assert queue.used_bytes <= MEGABYTE
     queue.close()
 
 
@@ -229,6 +272,33 @@ def test_file_damaged_in_the_middle_is_set_aside(path: Path) -> None:
     # Confirmations of the lost events do not affect the new ones.
     queue.confirm(session, 100, 100)
     assert queue.count == 1
+    queue.close()
+
+
+def test_damaged_text_does_not_block_later_events(path: Path) -> None:
+    queue = DiskQueue(path, MEGABYTE)
+    queue.append(events("door(open)", "b"))
+    queue.close()
+    path.write_bytes(path.read_bytes().replace(b"open", b"op\xffn"))
+    queue = DiskQueue(path, MEGABYTE)
+    assert take_all(queue) == [(1, "door(op\ufffdn)"), (2, "b")]
+    queue.close()
+
+
+def test_damaged_file_that_cannot_be_renamed_is_reported(path: Path) -> None:
+    queue = DiskQueue(path, 10 * MEGABYTE)
+    for _ in range(4):
+        queue.append(events(*["x" * 1000] * 1000))
+    queue.close()
+    queue = DiskQueue(path, 10 * MEGABYTE)
+    with path.open("r+b") as file:
+        # Pages that SQLite does not have in its cache.
+        file.seek(20_000)
+        file.write(b"\xff" * MEGABYTE)
+    for suffix in (".aside", ".aside2", ".aside3"):
+        Path(f"{path}{suffix}").mkdir()
+    with pytest.raises(QueueFailed, match="it is damaged .* and cannot be renamed"):
+        take_all(queue)
     queue.close()
 
 

@@ -18,6 +18,7 @@ from forwarding.mosquitto import NEEDS_BROKER, Broker, wait_until
 from subprocess_python_path import python_path
 
 from retalis import UsageError
+from retalis.fleet.mqtt_bridge import MqttBridge
 from retalis.fleet.robot_events import read_robot_event
 from retalis.forwarding.disk_queue import DiskQueue, ForwardedEvent
 from retalis.forwarding.event_forwarder import MAX_EVENT_CHARACTERS, EventForwarder
@@ -214,6 +215,20 @@ def test_long_event_is_dropped_and_counted(broker: Broker, forward: Any) -> None
     assert (forwarder.status().oversized, forwarder.status().lost) == (1, 1)
 
 
+def test_bridge_accepts_longest_event(broker: Broker, forward: Any, tmp_path: Path) -> None:
+    pytest.importorskip("paho.mqtt.enums", reason="needs paho-mqtt 2")
+    bridge = MqttBridge(broker.address, broker.port, tmp_path / "log")
+    forwarder = forward(broker.url)
+
+    def is_received() -> bool:
+        # Again in each turn: the broker delivers nothing before the bridge has subscribed.
+        forwarder.put(ForwardedEvent(1, 1, "\U0001f600" * MAX_EVENT_CHARACTERS))
+        return bridge.event_count + bridge.refused_count > 0
+
+    bridge.run(is_received)
+    assert bridge.refused_count == 0
+
+
 def test_wrong_password_is_reported(create_broker: Any, forward: Any, tmp_path: Path) -> None:
     passwords = tmp_path / "passwords"
     subprocess.run(["mosquitto_passwd", "-b", "-c", str(passwords), "r07", "secret"], check=True)
@@ -336,6 +351,8 @@ def test_node_starts_with_full_disk(broker: Broker, forward: Any, small_disk: Pa
     put(forwarder, 2)
     subscriber.wait_for(1)
     assert list(subscriber.identified().values()) == ["alarm(2)"]
+    # The receiver notices the loss by the id.
+    assert subscriber.events[0]["id"] == 2
     assert forwarder.status().storage_problem == ""
 
 

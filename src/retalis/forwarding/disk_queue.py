@@ -92,7 +92,7 @@ class QueuedEvent(NamedTuple):
     event: ForwardedEvent
 
 
-class QueueFailed(RetalisError):
+class QueueFailed(UsageError):
     """Raised if the file cannot be read or written now, for example because the disk is full."""
 
 
@@ -240,8 +240,12 @@ class DiskQueue:
                 raise QueueFailed(f"{self._path}: {error}") from error
             except sqlite3.DatabaseError as error:
                 self._replace_damaged(error)
-            except RetalisError as error:
+            except UsageError as error:
                 raise QueueFailed(error.message) from error
+            except BaseException:
+                # An open transaction would let the next one fail.
+                self._close_file()
+                raise
             else:
                 self.used_bytes = _used_bytes(database)
                 return result
@@ -261,7 +265,7 @@ class DiskQueue:
         """Store events; return the numbers of dropped and of deleted ones."""
         deleted_count, dropped_count = self._delete_confirmed(database), 0
         # Rows of half a page waste nearly as much again.
-        size = 2 * sum(_ROW_OVERHEAD_BYTES + len(event.text) for event in events)
+        size = 2 * sum(_ROW_OVERHEAD_BYTES + len(event.text.encode()) for event in events)
         while (
             self.count + len(events) - dropped_count > self._max_events
             or _used_bytes(database) + size > self._max_bytes
@@ -362,6 +366,8 @@ class DiskQueue:
         database = self._database = sqlite3.connect(
             str(path), timeout=LOCK_TIMEOUT_SECONDS, isolation_level=None, check_same_thread=False
         )
+        # By default, a text with a damaged byte could not be read, and events after it would never be sent.
+        database.text_factory = lambda data: data.decode("utf-8", "replace")
         # The lock is taken by the next statement, and needs no shared memory then.
         database.execute("PRAGMA locking_mode = EXCLUSIVE")
         database.execute("PRAGMA trusted_schema = OFF")
@@ -369,12 +375,15 @@ class DiskQueue:
         for statement in (*_SETTINGS, *(_TABLES if is_new else ())):
             database.execute(statement).fetchall()
         ((session,),) = database.execute("SELECT session FROM session").fetchall()
-        if session != self._session:
-            self._session, self._confirmed_id, self._next_id = session, 0, 1
-        self._in_flight_id = self._confirmed_id
         # The sequence contains the last id, also if its event has been deleted.
         last_id = _query_number(database, "SELECT coalesce(max(seq), 0) FROM sqlite_sequence")
-        self._next_id = max(self._next_id, last_id + 1)
+        if session == self._session:
+            # The events in flight stay so: the connection may still confirm them.
+            self._next_id = max(self._next_id, last_id + 1)
+        else:
+            # Events that were lost before the first opening have the ids that follow.
+            self._next_id = last_id + (1 if self._session else self._next_id)
+            self._session, self._confirmed_id, self._in_flight_id = session, 0, 0
         self.count = _query_number(database, f"SELECT count(*) FROM events WHERE id > {self._confirmed_id}")
         self.used_bytes = _used_bytes(database)
 
@@ -401,17 +410,17 @@ class DiskQueue:
         """Rename a damaged file; the next use creates a new one.
 
         Raises:
-            UsageError: if it cannot be renamed.
+            QueueFailed: if it cannot be renamed.
         """
         self._close_file()
         try:
             new_path = set_aside(self._path, MAX_SET_ASIDE_FILES)
         except OSError as rename_error:
-            raise UsageError(
+            raise QueueFailed(
                 f"{self._path}: it is damaged ({error}) and cannot be renamed: {rename_error.strerror}"
             ) from error
         self.set_aside_count += 1
-        self._session = ""
+        self._session, self._next_id = "", 1
         self.count = self._undeleted_count = 0
         self._on_damage(
             RetalisError(

@@ -315,4 +315,5 @@ class MqttSender:
         }
         if start != end:
             fields["start"] = start
-        return json.dumps(fields, separators=(",", ":")).encode()
+        # Escapes would double the length, and receivers limit it.
+        return json.dumps(fields, separators=(",", ":"), ensure_ascii=False).encode()
