@@ -12,7 +12,6 @@ from retalis.cli.result_manifest import (
     ResultManifest,
     compute_inputs,
     find_whole_results,
-    manifest_location,
     record_result,
 )
 from retalis.cli.result_partitions import ResultTarget
@@ -28,7 +27,7 @@ def manifests(tmp_path: Path) -> List[ResultManifest]:
     for name in ("a", "b"):
         bag, target = tmp_path / f"{name}.bag", tmp_path / "out" / f"{name}.jsonl"
         bag.write_text("messages")
-        place = manifest_location(f"{tmp_path}/out", target.name)
+        place = f"{tmp_path}/out/.manifest/{target.name}.json"
         entries.append(ResultManifest(place, str(bag), ResultTarget(str(target)), INPUTS))
         record(entries[-1], tmp_path)
     return entries
@@ -44,7 +43,6 @@ def record(manifest: ResultManifest, folder: Path, *files: str) -> None:
 
 
 def test_outcome_of_whole_result_is_kept(manifests: List[ResultManifest], tmp_path: Path) -> None:
-    assert manifests[0].location == f"{tmp_path}/out/.manifest/a.jsonl.json"
     assert find_whole_results(manifests, [0, 1]) == (
         {0: OUTCOME, 1: OUTCOME},
         "resume: 2 of 2 results are whole",

@@ -54,7 +54,7 @@ def test_other_path_is_an_error(pattern: str, location: str) -> None:
         find_robot(pattern, location)
 
 
-@pytest.mark.parametrize("text", ["", "{robot}/{robot}"])
+@pytest.mark.parametrize("text", ["", "{robot}/{robot}", "*/*.bag", "{robo}", "r07/"])
 def test_invalid_pattern_is_refused(text: str) -> None:
     with pytest.raises(argparse.ArgumentTypeError, match="expected a name, or the end of a path"):
         parse_robot(text)
@@ -73,6 +73,8 @@ def test_target_contains_day_and_quoted_robot() -> None:
     assert make_target("out", "a.csv", ("robot", "day"), "r7").locate("x") == "out/robot=r7/day=x/a.csv"
     assert make_target("out", "a.csv", ("robot",), "r7") == ResultTarget("out/robot=r7/a.csv")
     assert make_target("out{", "a.csv", (), None).locate("x") == "out{/a.csv"
+    # A folder whose name is not UTF-8.
+    assert make_target("out", "a.csv", ("robot",), "r\udcff").head == "out/robot=r%FF/a.csv"
 
 
 @pytest.mark.parametrize(
@@ -131,12 +133,30 @@ def test_results_are_in_partitions(
     assert main([*command, *options, "--resume"]) == 0
     assert capfd.readouterr().err.endswith("the others are computed: 1 with no result\n")
     # A manifest names no file outside of the partitions.
-    manifest = Path("out/.manifest/r1/a.csv.json")
+    manifest = Path("out/.manifest/robot=r1/r1/a.csv.json")
     content = json.loads(manifest.read_text())
     content["outcome"]["day"] = "../.."
     manifest.write_text(json.dumps(content))
     assert main([*command, *options, "--resume"]) == 0
     assert capfd.readouterr().err.endswith("the others are computed: 1 with an unreadable manifest\n")
+
+
+@pytest.mark.slow
+def test_bags_of_robots_can_have_same_name(tmp_path: Path, command: List[str], capfd: Any) -> None:
+    make_bag(tmp_path / "bags" / "r2" / "a.bag", "y", start=3 * DAY)
+    os.unlink("bags/r2/b.bag")
+    arguments = ["bag", "bags/r1", "bags/r2", *command[2:], "--partition", "day,robot", "--output", "out"]
+    assert main(arguments) == 0
+    assert list_results("out") == ["day=1970-01-02/robot=r1/a.csv", "day=1970-01-04/robot=r2/a.csv"]
+    assert main([*arguments, "--resume"]) == 0
+    assert capfd.readouterr().err == "resume: 2 of 2 results are whole\n"
+
+
+def test_robot_of_folder_is_no_column(command: List[str], tmp_path: Path) -> None:
+    make_bag(tmp_path / "days" / "robot=r1" / "a.bag", "x")
+    command = ["bag", "days", *command[2:], "--output", "out"]
+    assert main([*command, "--robot", "robot={robot}/*"]) == 0
+    assert Path("out/robot=r1/a.csv").read_text().startswith('"bag","incomplete",')
 
 
 @pytest.mark.slow

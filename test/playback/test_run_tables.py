@@ -286,6 +286,16 @@ def test_unpaired_surrogates_are_replaced(tmp_path: Path, table_type: Type[RunTa
     assert rows[1]["output"] == "a\ufffd\n\ufffd"
 
 
+@pytest.mark.parametrize("table_type", [ParquetTable, CsvTable])
+def test_name_of_table_need_not_be_unicode(tmp_path: Path, table_type: Type[RunTable]) -> None:
+    if table_type is ParquetTable:
+        pytest.importorskip("pyarrow")
+    path = tmp_path / "r\udcff"
+    write_table(table_type, path, [], labels={"bag": "r\udcff.bag"})
+    (row,) = read_csv(path) if table_type is CsvTable else read_rows(path.rename(tmp_path / "r"))
+    assert row["bag"] == "r\ufffd.bag"
+
+
 def test_column_of_shared_value_can_be_omitted(tmp_path: Path) -> None:
     write_table(CsvTable, tmp_path / "c", [], labels={"bag": "a.bag"})
     assert list(read_csv(tmp_path / "c")[0])[:2] == ["bag", "incomplete"]

@@ -11,7 +11,7 @@ from ..foundation.errors import UsageError
 from ..playback.bag_locations import BagLocation, is_url, location_exists
 from ..playback.run_tables import TABLE_TYPES
 from .many_bags_options import select_format, single_bag_options
-from .result_manifest import ResultManifest, compute_inputs, manifest_location
+from .result_manifest import MANIFEST_FOLDER, ResultManifest, compute_inputs
 from .result_partitions import ResultTarget, find_robot, make_target
 
 if TYPE_CHECKING:
@@ -97,8 +97,9 @@ def create_tasks(
         for position, bag in enumerate(bags):
             labels: Dict[str, Optional[str]] = {"bag": bag.location}
             robot = None if options.robot is None else find_robot(options.robot, bag.location)
-            # Data tools take a partition from the folder, and some refuse a column of the same name.
-            if "robot" not in options.partition:
+            # Data tools take a partition from the folder, and some refuse a column of the same name. The recordings
+            # can be in such folders, too.
+            if "robot" not in options.partition and "/robot=" not in f"/{bag.name}":
                 labels["robot"] = robot
             location, manifest = shared_path(bag.location), None
             if result_format is None:
@@ -110,7 +111,9 @@ def create_tasks(
                 target = make_target(folder, name, options.partition, robot)
                 # If parts are added or deleted, the others continue from another state, or have another end.
                 position_text = f"{position} of {len(bags)}"
-                place = manifest_location(folder, name)
+                # The bags of two robots can have the same name. The day is not known yet.
+                keys = [key for key in options.partition if key != "day"]
+                place = make_target(f"{folder}/{MANIFEST_FOLDER}", f"{name}.json", keys, robot).head
                 bag_inputs = {**inputs, "position": position_text}
                 if result_format in TABLE_TYPES:
                     bag_inputs["labels"] = json.dumps(labels)

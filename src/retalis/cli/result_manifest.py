@@ -1,6 +1,7 @@
 """Manifests of results, for option ``--resume``: what each result was computed from.
 
-The manifest of ``OUTPUT/r1/day.jsonl`` is ``OUTPUT/.manifest/r1/day.jsonl.json``. The process that has computed the
+The manifest of ``OUTPUT/r1/day.jsonl`` is ``OUTPUT/.manifest/r1/day.jsonl.json``, also if the result is in a
+partition of a day; those of robots are below ``OUTPUT/.manifest``, too. The process that has computed the
 result writes it, so that a run whose client has ended can be resumed. A result is whole if its content is that of the
 manifest, and so are the version of retalis, the program, the options and the bag. The content of a file is known by
 its digest, which takes 2 ms a megabyte, and that of an object at a URL by its size and ETag.
@@ -40,7 +41,7 @@ from ..playback.bag_locations import (
 from .command_line import version
 from .result_partitions import ResultTarget
 
-_FOLDER = ".manifest"
+MANIFEST_FOLDER = ".manifest"
 """Folder of the manifests in that of the results."""
 
 _MAX_DIGEST_BYTES = 1 << 20
@@ -66,11 +67,6 @@ class ResultManifest(NamedTuple):
     bag: str
     target: ResultTarget
     inputs: Dict[str, str]
-
-
-def manifest_location(output: str, result_name: str) -> str:
-    """Return the location of the manifest of a result in an output folder."""
-    return f"{output.rstrip('/')}/{_FOLDER}/{result_name}.json"
 
 
 def compute_inputs(

@@ -19,6 +19,9 @@ PARTITION_KEYS = ("day", "robot")
 """Keys of option ``--partition``."""
 
 _ROBOT_MARK = "{robot}"
+_PATTERN_CHARACTERS = frozenset("/*{}")
+"""Characters of patterns, which the name of a robot lacks."""
+
 _EPOCH = datetime(1970, 1, 1, tzinfo=timezone.utc)
 
 
@@ -63,7 +66,7 @@ def make_target(output: str, name: str, partition: Sequence[str], robot: Optiona
     folders = ""
     for key in partition:
         # The mark of the day is no character of a quoted name.
-        value = "{" if key == "day" else quote(robot or "", safe="")
+        value = "{" if key == "day" else quote(robot or "", safe="", errors="surrogateescape")
         folders += f"{key}={value}/"
     head, _, tail = folders.partition("{")
     return (
@@ -99,9 +102,10 @@ def parse_robot(text: str) -> str:
     """Return the pattern of option ``--robot``.
 
     Raises:
-        argparse.ArgumentTypeError: if it is empty, or names the robot twice.
+        argparse.ArgumentTypeError: if it is empty, names the robot twice, or is a pattern without a robot.
     """
-    if not text or text.count(_ROBOT_MARK) > 1:
+    count = text.count(_ROBOT_MARK)
+    if not text or count > 1 or (count == 0 and not _PATTERN_CHARACTERS.isdisjoint(text)):
         raise argparse.ArgumentTypeError(
             f"expected a name, or the end of a path with one {_ROBOT_MARK}, found {quote_shortened(text)}"
         )

@@ -183,6 +183,7 @@ class RunTable:
         self._shared: Dict[str, Any] = {}
         self._topics: Dict[str, TableColumn] = {}
         """Structs of topics by their names without the first slash."""
+        self._file: Any = None
         self._read: Dict[str, Callable[[bytes], Any]] = {}
         """Functions from a serialized message to its slots, by the names of topics."""
 
@@ -314,7 +315,9 @@ class ParquetTable(RunTable):
         fields = [(column.name, self._find_type(column)) for column in columns]
         self._columns = columns
         self._schema: Any = self._arrow.schema(fields, metadata)
-        self._writer = self._parquet.ParquetWriter(self._path, self._schema)
+        # Not by its path, which pyarrow refuses if it is not UTF-8.
+        self._file = open(self._path, "wb")  # noqa: SIM115 - `close` closes it
+        self._writer = self._parquet.ParquetWriter(self._file, self._schema)
 
     def _find_type(self, column: TableColumn) -> Any:
         """Return the Arrow type of a column."""
@@ -351,18 +354,20 @@ class ParquetTable(RunTable):
     def _make_messages(self, column: TableColumn) -> Any:
         """Return the column of messages, in which the structs of other topics are null."""
         messages = [message for message in self._messages if message is not None]
+        # Grouped first, because a program can have thousands of topics.
+        positions: Dict[str, List[int]] = {topic.source: [] for topic in column.fields}
+        for position, (name, _) in enumerate(messages):
+            positions[name].append(position)
         structs = []
         for topic in column.fields:
-            indices: List[Optional[int]] = []
-            values: List[Any] = []
-            read = self._read[topic.source]
-            for name, data in messages:
-                indices.append(len(values) if name == topic.source else None)
-                if name == topic.source:
-                    values.append(read(data))
+            indices: List[Optional[int]] = [None] * len(messages)
+            values = []
+            for position in positions[topic.source]:
+                indices[position] = len(values)
+                values.append(self._read[topic.source](messages[position][1]))
             structs.append(self._place(self._make_array(topic, values), indices))
-        positions = iter(range(len(messages)))
-        indices = [None if message is None else next(positions) for message in self._messages]
+        numbers = iter(range(len(messages)))
+        indices = [None if message is None else next(numbers) for message in self._messages]
         fields = [self._arrow.field(topic.name, self._find_type(topic)) for topic in column.fields]
         return self._place(self._arrow.StructArray.from_arrays(structs, fields=fields), indices)
 
@@ -415,6 +420,7 @@ class ParquetTable(RunTable):
                 self._flush()
         finally:
             self._writer.close()
+            self._file.close()
         for name, count in self._dropped.items():
             log.warning(
                 "column %s: %s of more than 64 bits: null in the result", name, format_count(count, "integer")
@@ -450,7 +456,6 @@ class CsvTable(RunTable):
 
     def __init__(self, path: PathLike, labels: Mapping[str, Optional[str]], has_events: bool):
         super().__init__(path, labels, has_events)
-        self._file: Any = None
         self._before: List[_CsvLeaf] = []
         self._after: List[_CsvLeaf] = []
         """Columns before and after those of messages."""
