@@ -1,6 +1,7 @@
 """Separate playback of several bags: results, order and failures."""
 
 import json
+import signal
 import sys
 from pathlib import Path
 from typing import Any, Iterator
@@ -363,3 +364,24 @@ def test_summary_counts_incomplete_bags(
     assert [path.name for path in (tmp_path / "strict").glob("*.jsonl")] == ["a.jsonl"]
     assert main(["bag", str(tmp_path / "bags"), *results, str(tmp_path / "results"), "--resume"]) == 3
     assert capfd.readouterr().err.endswith("\n1 of 2 bags are incomplete\n")
+
+
+def test_ended_run_leaves_no_incomplete_results(
+    program: str, bags: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    target = tmp_path / "results" / "r1"
+    target.mkdir(parents=True)
+    scratch_folders = []
+
+    def end_process(function: Any, tasks: Any, jobs: int, scratch: str, *arguments: Any) -> Any:
+        scratch_folders.append(Path(scratch))
+        (target / f".{'0' * 32}.incomplete.a.csv.part").touch()
+        signal.raise_signal(signal.SIGTERM)
+        yield
+
+    monkeypatch.setattr("retalis.cli.bag_command.run_in_processes", end_process)
+    arguments = ["--program", program, "--jobs", "1", "--format", "csv", "--output", f"{tmp_path}/results"]
+    with pytest.raises(SystemExit) as raised:
+        main(["bag", str(bags), *arguments])
+    assert raised.value.code == 128 + signal.SIGTERM
+    assert [*target.iterdir(), *filter(Path.exists, scratch_folders)] == []

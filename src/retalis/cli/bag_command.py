@@ -41,7 +41,7 @@ from ..explanation.event_explanations import explain, record_origins
 from ..foundation.displayed_text import quote_shortened
 from ..foundation.errors import RetalisError, UsageError
 from ..foundation.garbage_collection import limit_gc_pauses, restore_gc
-from ..foundation.interrupts import check_interrupt, interruptible
+from ..foundation.interrupts import check_interrupt, exit_by_exception, interruptible
 from ..foundation.output_files import print_json
 from ..messages.type_definition import Definition, SerializationFormat
 from ..playback.bag_locations import (
@@ -729,6 +729,8 @@ def play_separately(options: argparse.Namespace) -> int:
     if options.resume and _records_coverage(options):
         raise UsageError("--resume: whole results have no coverage: expected only one of both options")
     with ExitStack() as stack:
+        # Otherwise the workers would continue, and leave their incomplete results.
+        stack.enter_context(exit_by_exception())
         scratch = stack.enter_context(TemporaryDirectory(prefix="retalis-"))
         bags = find_bags(options.bags)
         recordings = group_recordings(bags) if options.parts else [[bag] for bag in bags]

@@ -13,7 +13,7 @@ from typing import Any, Callable, Dict, Iterator, List, Mapping, Optional, Seque
 
 from ..events.language.rule_labels import rule_title
 from ..foundation.errors import UsageError
-from ..foundation.interrupts import interruptible
+from ..foundation.interrupts import exit_by_exception, interruptible
 from ..foundation.ros_name_checks import ros1_type_name, strip_slashes
 from ..foundation.source_places import line_of
 from ..messages.type_definition import Definition
@@ -27,7 +27,7 @@ from ..testing.case_run import CaseResult
 from ..testing.live_run import LiveNode, ProblemCounts, ReceivedText, parse_output, run_live_case
 from .command_options import message_folders
 from .node_client import ClientConnection, NodeClient, require_ok
-from .node_client_commands import exit_by_exception, start_node
+from .node_client_commands import start_node
 from .optional_ros_imports import connect_client
 
 MAX_QUEUED_TEXTS = 100_000

@@ -6,7 +6,6 @@ The process becomes a node only if it subscribes to topics or runs until it is i
 import argparse
 import os
 import shutil
-import signal
 import sys
 from contextlib import contextmanager, redirect_stdout
 from queue import Queue
@@ -15,6 +14,7 @@ from typing import IO, Any, Callable, Dict, Iterator, List, Optional, Tuple
 
 from ..foundation.displayed_text import printable
 from ..foundation.errors import RetalisError, UsageError
+from ..foundation.interrupts import exit_by_exception
 from ..foundation.output_files import print_json
 from ..node.text_exchange import INPUT, OUTPUT, WATCH
 from ..prolog.syntax.operators import Operators
@@ -269,28 +269,6 @@ def _watch_node(
                     topic=own_topic,
                     id=subscription_id,
                 )
-
-
-@contextmanager
-def exit_by_exception() -> Iterator[None]:
-    """Raise SystemExit after the signals that end a process.
-
-    Under nohup, SIGHUP is ignored and must stay so.
-    """
-    handlers = {
-        number: signal.signal(number, _raise_system_exit)
-        for number in (signal.SIGTERM, signal.SIGHUP)
-        if signal.getsignal(number) is not signal.SIG_IGN
-    }
-    try:
-        yield
-    finally:
-        for number, handler in handlers.items():
-            signal.signal(number, handler)
-
-
-def _raise_system_exit(signal_number: int, frame: Any) -> None:
-    raise SystemExit(128 + signal_number)
 
 
 def _print_received(

@@ -188,3 +188,26 @@ class interruptible:  # noqa: N801 - used like a function
         """Record signals again."""
         if _HandlerState.thread == get_ident():
             _HandlerState.is_waiting = self._was_waiting
+
+
+@contextmanager
+def exit_by_exception() -> Iterator[None]:
+    """Raise SystemExit after the signals that end a process.
+
+    Unlike `deferred_interrupts`, for commands whose main thread runs no engine. Under nohup, SIGHUP is ignored and
+    must stay so.
+    """
+    handlers = {
+        number: signal.signal(number, _raise_system_exit)
+        for number in (signal.SIGTERM, signal.SIGHUP)
+        if signal.getsignal(number) is not signal.SIG_IGN
+    }
+    try:
+        yield
+    finally:
+        for number, handler in handlers.items():
+            signal.signal(number, handler)
+
+
+def _raise_system_exit(signal_number: int, frame: Any) -> None:
+    raise SystemExit(128 + signal_number)

@@ -361,7 +361,7 @@ class ParquetTable(RunTable):
         structs = []
         for topic in column.fields:
             indices: List[Optional[int]] = [None] * len(messages)
-            values = []
+            values: List[Any] = []
             for position in positions[topic.source]:
                 indices[position] = len(values)
                 values.append(self._read[topic.source](messages[position][1]))
