@@ -10,6 +10,8 @@ from node.in_memory_hosts import DEFINITIONS, Robot, encode, start_host
 from node.memory_transport import MemoryNetwork, MemoryTransport
 
 from retalis import UsageError
+from retalis.fleet.robot_engine import FleetProgram, RobotEngine
+from retalis.fleet.robot_events import RobotEvent
 from retalis.forwarding.disk_queue import DiskQueue
 from retalis.forwarding.event_forwarder import ForwardingStatus
 from retalis.messages.message_dictionaries import read_message_term
@@ -79,6 +81,19 @@ def test_outputs_of_selected_topics_are_queued(network: MemoryNetwork, program: 
         (1002.0, 1002.0, "std_msgs__0__String('\"b\"')"),
         (1000.0, 1002.0, "fire('\"a\"','\"b\"')"),
     ]
+
+
+def test_fleet_reads_forwarded_numbers(network: MemoryNetwork, program: Path) -> None:
+    (program / "rules.txt").write_text("fire(X, Y) <- scan(_) where (X is inf, Y is -inf).\n")
+    publisher = Robot(network).publish("/scan")
+    host = start_host(network, program, **parameters(program, "fleet"))
+    publisher.send(encode("a"))
+    host.transport.shut_down()
+    ((_, _, text),) = queued(program)
+    (program / "rules.txt").write_text("fire(number, X) <- fire(X, _) where number(X).\n")
+    robot = RobotEngine(FleetProgram(program))
+    outputs = robot.process(RobotEvent("r07", 1, text)).outputs
+    assert [output.text for output in outputs if output.topic == "fleet"] == [text, "fire(number,1.0Inf)"]
 
 
 def test_forwarded_topic_needs_no_type(

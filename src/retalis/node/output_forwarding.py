@@ -11,7 +11,7 @@ from ..foundation.bounded_caches import Cache
 from ..foundation.displayed_text import format_count
 from ..foundation.errors import RetalisError, UsageError
 from ..foundation.similar_names import did_you_mean
-from ..prolog.syntax.event_text import to_text
+from ..prolog.syntax.term_writer import canonical_text
 from ..prolog.terms.types import Term
 from .diagnostics import CounterTrends, Health, Level
 from .text_exchange import WATCH
@@ -66,8 +66,9 @@ class OutputForwarding:
     def forward(self, term: Term, topic: str, name: Term) -> None:
         """Forward an output if its topic is included; called in the engine's turn."""
         if self.includes(topic):
+            # Receivers read terms, in which infinity differs from that of event text.
             # Strings of messages may contain bytes that are not UTF-8.
-            text = to_text(term).encode("utf-8", "replace").decode()
+            text = canonical_text(term).encode("utf-8", "replace").decode()
             start, end = self._find_interval()
             self._forwarder.put(ForwardedEvent(start / 1e9, end / 1e9, text))
 
