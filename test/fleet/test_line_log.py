@@ -66,6 +66,16 @@ def test_writer_removes_incomplete_line(tmp_path: Path) -> None:
     assert read_texts(LogReader(tmp_path)) == ["one", "two"]
 
 
+def test_second_writer_is_refused(tmp_path: Path) -> None:
+    writer = LogWriter(tmp_path)
+    with pytest.raises(UsageError, match="another process writes this log"):
+        LogWriter(tmp_path)
+    writer.append(["one"])
+    writer.close()
+    LogWriter(tmp_path).close()
+    assert read_texts(LogReader(tmp_path)) == ["one"]
+
+
 def test_deleted_files_are_reported(tmp_path: Path) -> None:
     writer = LogWriter(tmp_path, max_bytes=20, max_file_bytes=10)
     for number in range(10):

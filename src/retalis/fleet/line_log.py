@@ -77,6 +77,10 @@ class LogWriter:
 
     Attributes:
         deleted_count: number of files that were deleted.
+
+    Raises:
+        UsageError: if another process writes the log.
+        OSError: if the log cannot be opened.
     """
 
     def __init__(self, folder: Path, max_bytes: Optional[int] = None, max_file_bytes: int = MAX_FILE_BYTES):
@@ -108,7 +112,15 @@ class LogWriter:
         self._file.close()
 
     def _open(self) -> BinaryIO:
+        import fcntl  # noqa: PLC0415 (not on Windows)
+
         file = open(self._folder / f"{self._number:09}{SUFFIX}", "ab")  # noqa: SIM115 - closed by `close`
+        try:
+            # A reader never returns to a file that another writer has left, so it would miss the lines of this one.
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError as error:
+            file.close()
+            raise UsageError(f"{self._folder}: another process writes this log: expected one") from error
         # The name of a new file is on the disk before a line of it is.
         descriptor = os.open(self._folder, os.O_RDONLY)
         try:

@@ -60,6 +60,10 @@ class MqttBridge:
     Attributes:
         event_count: number of events that were written.
         refused_count: number of events that were refused; the log has a line for each.
+
+    Raises:
+        UsageError: if another process writes the log, or paho is not installed.
+        OSError: if the log cannot be opened.
     """
 
     def __init__(
