@@ -180,10 +180,12 @@ class EventForwarder:
                 dropped_count = self._queue.append(events)
             # Whatever the reason is, the thread has to continue with later events.
             except Exception as error:
-                self._unstored_count += len(events)
-                self._storage_problem = error.message if isinstance(error, QueueFailed) else repr(error)
+                problem = error.message if isinstance(error, QueueFailed) else repr(error)
+                with self._changed:
+                    self._unstored_count += len(events)
+                    self._storage_problem = problem
                 self._reports.warning(
-                    f"forwarding: {format_count(len(events), 'event')} cannot be stored: {self._storage_problem}",
+                    f"forwarding: {format_count(len(events), 'event')} cannot be stored: {problem}",
                     (_REPORTED, "storage"),
                 )
                 continue
