@@ -10,6 +10,7 @@ from node.in_memory_hosts import DEFINITIONS, Robot, encode, start_host
 from node.memory_transport import MemoryNetwork, MemoryTransport
 
 from retalis import UsageError
+from retalis.engine.checkpoints import Checkpointer
 from retalis.fleet.robot_engine import FleetProgram, RobotEngine
 from retalis.fleet.robot_events import RobotEvent
 from retalis.forwarding.disk_queue import DiskQueue
@@ -81,6 +82,23 @@ def test_outputs_of_selected_topics_are_queued(network: MemoryNetwork, program: 
         (1002.0, 1002.0, "std_msgs__0__String('\"b\"')"),
         (1000.0, 1002.0, "fire('\"a\"','\"b\"')"),
     ]
+
+
+def test_outputs_of_last_checkpoint_are_queued(
+    network: MemoryNetwork, program: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    publisher = Robot(network).publish("/scan")
+    stop = Checkpointer.stop
+
+    def stop_after_event(checkpointer: Checkpointer) -> None:
+        publisher.send(encode("a"))
+        stop(checkpointer)
+
+    monkeypatch.setattr(Checkpointer, "stop", stop_after_event)
+    checkpoint = str(program / "state.db")
+    host = start_host(network, program, checkpoint=checkpoint, **parameters(program, "alarm"))
+    host.transport.shut_down()
+    assert [text for _, _, text in queued(program)] == ["std_msgs__0__String('\"a\"')"]
 
 
 def test_fleet_reads_forwarded_numbers(network: MemoryNetwork, program: Path) -> None:

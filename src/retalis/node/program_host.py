@@ -133,6 +133,7 @@ class ProgramHost:
             clock_epochs=context.time.epochs,
             stamp_receipt=None if transport.is_time_simulated else ReceiptStamps(transport.now).stamp,
         )
+        self._stop_checkpoints: Callable[[], object] = lambda: None
         self._forwarding = self._create_forwarding()
         # They store the outputs and requested topics of goals until topics can be opened.
         outputs = OutputRelay(parameters.queue, self._reports)
@@ -155,7 +156,7 @@ class ProgramHost:
         self._follow_time(skew, locks)
         log.info("%s: %s", parameters.program, self.engine.summary())
         self._report_state()
-        checkpoint.start_writing(self.engine, transport.on_shutdown)
+        checkpoint.start_writing(self.engine, self._on_checkpoints_end)
         if checkpoint.is_resumed:
             threading.Thread(target=self._continue_after_pause, daemon=True).start()
 
@@ -203,8 +204,19 @@ class ProgramHost:
             return interval
 
         forwarding = OutputForwarding(options, self._reports, self._transport.resolve_topic, find_interval)
-        self._transport.on_shutdown(forwarding.stop)
+
+        def stop() -> None:
+            # First: the last checkpoint must not contain events whose outputs are not in the queue.
+            self._stop_checkpoints()
+            forwarding.stop()
+
+        self._transport.on_shutdown(stop)
         return forwarding
+
+    def _on_checkpoints_end(self, stop: Callable[[], object]) -> None:
+        """Register the function that writes the last checkpoint; it may be called twice."""
+        self._stop_checkpoints = stop
+        self._transport.on_shutdown(stop)
 
     def _is_forwarded(self, topic: str) -> bool:
         return self._forwarding is not None and self._forwarding.includes(topic)
