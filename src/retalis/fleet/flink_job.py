@@ -312,7 +312,7 @@ class Robots(KeyedProcessFunction):
         if context.time_domain() == TimeDomain.PROCESSING_TIME:
             self._forget(name, context)
             return
-        if self._seen.value() is None:
+        if name not in self._residents and self._seen.value() is None:
             return  # the state has been deleted
         resident = self._find(name)
         resident.timer = None
