@@ -132,3 +132,11 @@ def test_error_discards_file(tmp_path: Path) -> None:
     with pytest.raises(BagError, match="already exists"):
         McapWriter(path)
     assert list(tmp_path.iterdir()) == [path]
+
+
+def test_time_before_1970_is_an_error(tmp_path: Path) -> None:
+    with McapWriter(tmp_path / "a.mcap") as bag:
+        topic = bag.add("/topic", Definitions().find("std_msgs/Empty"), ANY_QUALITY)
+        with pytest.raises(BagError, match="expected a time from 0 to 9223372036854775807 ns, found -1 ns"):
+            bag.write(topic, -1, b"")
+    assert list(tmp_path.iterdir()) == []

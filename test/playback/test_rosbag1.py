@@ -117,6 +117,18 @@ def test_exception_keeps_old_bag(bag: Path, error: Any) -> None:
     assert [path.name for path in bag.parent.iterdir()] == [bag.name]
 
 
+@pytest.mark.parametrize("time", [-1, (1 << 32) * 10**9])
+def test_time_that_bag_cannot_have_is_an_error(tmp_path: Path, time: int) -> None:
+    path = tmp_path / "a.bag"
+    with BagWriter(path) as writer:
+        connection = writer.add("/a", Definitions().find("std_msgs/Empty"))
+        with pytest.raises(
+            BagError, match=f"expected a time from 0 to 4294967295999999999 ns, found {time} ns"
+        ):
+            writer.write(connection, time, b"")
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_full_disk_keeps_old_bag(bag: Path) -> None:
     old = bag.read_bytes()
     size_limit = resource.getrlimit(resource.RLIMIT_FSIZE)

@@ -57,6 +57,8 @@ class McapWriter(NewBag):
         BagError: if the file exists already, or cannot be written, or the Python package mcap is not installed.
     """
 
+    _MAX_TIME = (1 << 63) - 1
+
     def __init__(
         self, path: PathLike, overwrite: bool = False, incomplete_files: Sequence[Mapping[str, Any]] = ()
     ):
@@ -127,9 +129,10 @@ class McapWriter(NewBag):
         """Write a message in CDR, with its time in nanoseconds.
 
         Raises:
-            BagError: if the file cannot be written, as on a full disk.
+            BagError: if the file cannot be written, as on a full disk, or the time is before 1970 or after 2262.
         """
         with self._discarding_on_error():
+            self._check_time(time)
             self._writer.add_message(topic, time, data, time)
 
 

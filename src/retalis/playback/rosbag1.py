@@ -28,6 +28,7 @@ from typing import (
     Any,
     BinaryIO,
     Callable,
+    ClassVar,
     Collection,
     Deque,
     Dict,
@@ -50,6 +51,7 @@ from ..foundation.interrupts import check_interrupt
 from ..foundation.output_files import replace_file
 from ..foundation.ros_name_checks import strip_slashes
 from ..messages.type_definition import Definition, SerializationFormat
+from ..prolog.terms.timestamps import SECOND
 from .decompression import MAX_CHUNK_MEGABYTES, ChunkLimit, describe_error, unpack
 from .incomplete_files import INCOMPLETE_STATUS, IncompleteFile
 from .unindexed_bag import UnindexedBag, UnindexedConnection, find_index_problem
@@ -440,6 +442,9 @@ class NewBag:
         BagError: if the file exists already, or cannot be written.
     """
 
+    _MAX_TIME: ClassVar[int]
+    """Last time that a message can have, in nanoseconds; the first is 0."""
+
     def __init__(self, path: PathLike, overwrite: bool = False):
         self.path = Path(path)
         # A folder is never replaced.
@@ -472,6 +477,17 @@ class NewBag:
             if isinstance(error, OSError):
                 raise BagError(f"{self.path} cannot be written: {describe_error(error)}") from error
             raise
+
+    def _check_time(self, time: int) -> None:
+        """Reject a time that a message cannot have.
+
+        Raises:
+            BagError: if it is such a time.
+        """
+        if not 0 <= time <= self._MAX_TIME:
+            raise BagError(
+                f"{self.path} cannot be written: expected a time from 0 to {self._MAX_TIME} ns, found {time} ns"
+            )
 
     def _discard(self, error: BaseException) -> None:
         """Close and remove the file; the target stays as it was."""
@@ -535,6 +551,8 @@ class BagWriter(NewBag):
         BagError: if the file exists already, or cannot be written.
     """
 
+    _MAX_TIME = (1 << 32) * SECOND - 1
+
     def __init__(self, path: PathLike, overwrite: bool = False):
         self._writer_class = import_rosbags("rosbag1").Writer
         self._writer: Any = None
@@ -567,9 +585,10 @@ class BagWriter(NewBag):
         """Write a message, with the time of its receipt in nanoseconds.
 
         Raises:
-            BagError: if the file cannot be written, as on a full disk.
+            BagError: if the file cannot be written, as on a full disk, or the time is before 1970 or after 2106.
         """
         with self._discarding_on_error():
+            self._check_time(time)
             self._writer.write(connection, time, data)
 
 
