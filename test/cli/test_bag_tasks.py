@@ -12,7 +12,7 @@ import pytest
 from asserting_accessors import required
 from bags_and_program import SECOND, make_bag, make_program
 
-from retalis import BagReader
+from retalis import BagError, BagReader
 from retalis.cli.bag_command import add_parser, play_bag
 from retalis.cli.bag_tasks import BagOutcome, BagTask
 from retalis.cli.many_bags_options import single_bag_options
@@ -52,6 +52,16 @@ def make_task(program: Any, bag: str, target: Any, result_format: Optional[str],
     (parser,) = parsers
     arguments = parser.parse_args([str(bag), "--program", str(program), *options])
     return BagTask(str(bag), ResultTarget(str(target)), result_format, single_bag_options(arguments))
+
+
+def test_error_names_result_as_given(program: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(path: Any, overwrite: bool) -> Any:
+        raise BagError(f"{path} cannot be written")
+
+    monkeypatch.setattr("retalis.cli.bag_command.BagWriter", fail)
+    bag = make_bag(tmp_path / "a.bag", "x")
+    outcome = play_bag(make_task(program, bag, tmp_path / "out.bag", "bag"), str(tmp_path))
+    assert outcome.failure == f"{tmp_path}/out.bag cannot be written"
 
 
 @pytest.mark.slow

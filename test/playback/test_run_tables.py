@@ -3,6 +3,8 @@
 import csv
 import json
 import logging
+import resource
+import signal
 import sys
 from pathlib import Path
 from typing import Any, Dict, Iterable, List, Mapping, Optional, Type
@@ -284,6 +286,24 @@ def test_unpaired_surrogates_are_replaced(tmp_path: Path, table_type: Type[RunTa
     write_table(table_type, tmp_path / "p", [{**OUTPUT, "output": "a\udc80\n\ud800"}])
     rows = read_csv(tmp_path / "p") if table_type is CsvTable else read_rows(tmp_path / "p")
     assert rows[1]["output"] == "a\ufffd\n\ufffd"
+
+
+@pytest.mark.parametrize("table_type", [ParquetTable, CsvTable])
+def test_full_disk_is_the_only_error(tmp_path: Path, table_type: Type[RunTable]) -> None:
+    if table_type is ParquetTable:
+        pytest.importorskip("pyarrow")
+    # A row group that exceeds the buffers.
+    lines = [{**OUTPUT, "output": str(number**3)} for number in range(10_000)]
+    size_limit = resource.getrlimit(resource.RLIMIT_FSIZE)
+    # The signal of a file that grows beyond the limit is ignored, so that writing raises an error, as on a full disk.
+    handler = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (2_000, size_limit[1]))
+    try:
+        with pytest.raises(OSError, match="File too large"):
+            write_table(table_type, tmp_path / "run", lines)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, size_limit)
+        signal.signal(signal.SIGXFSZ, handler)
 
 
 @pytest.mark.parametrize("table_type", [ParquetTable, CsvTable])

@@ -670,7 +670,8 @@ def play_bag(task: BagTask, scratch: str) -> BagOutcome:
 
 def _play_bag(task: BagTask, scratch: str) -> Tuple[BagOutcome, List[str]]:
     """Play a bag and write its result; return the outcome, and the event files that the program has loaded."""
-    stderr, failure, bag, state, day = LimitedText(), "", task.location, None, ""
+    stderr, failure, state, day = LimitedText(), "", None, ""
+    shown_paths: Dict[str, str] = {}
     coverage: Tuple[CoveredPart, ...] = ()
     files: List[str] = []
     is_incomplete = False
@@ -678,10 +679,13 @@ def _play_bag(task: BagTask, scratch: str) -> Tuple[BagOutcome, List[str]]:
         reporter = StderrReporter().attach(show_events=True)
         try:
             with local_copy(task.location, scratch) as bag:
+                shown_paths[bag] = task.location
                 options = argparse.Namespace(**task.options, bags=[bag], output=None, overwrite=True)
                 with open_bags(options) as bags:
                     day = utc_day(bags.start) if task.target.tail else ""
-                    with result_file(task.target.locate(day), scratch) as result:
+                    target = task.target.locate(day)
+                    with result_file(target, scratch) as result:
+                        shown_paths[result] = target
                         played = _play_to_file(result, bags, options, task, reporter)
                 coverage, is_incomplete = played.coverage, bool(played.incomplete_files)
                 files = sorted(map(str, played.playback.engine.program.rules.files.loaded))
@@ -694,8 +698,10 @@ def _play_bag(task: BagTask, scratch: str) -> Tuple[BagOutcome, List[str]]:
         finally:
             detach_reporters()
             restore_gc()
-    # Messages name the bag as the user gave it, not the temporary copy of a URL.
-    messages, failure = (text.replace(bag, task.location) for text in (stderr.getvalue(), failure))
+    messages = stderr.getvalue()
+    # Messages name the bag and the result as the user gave them, not temporary files.
+    for path, shown_path in shown_paths.items():
+        messages, failure = messages.replace(path, shown_path), failure.replace(path, shown_path)
     outcome = BagOutcome(reporter.errors, messages, failure or None, state, coverage, is_incomplete, day)
     return outcome, files
 

@@ -15,6 +15,7 @@ import json
 import logging
 from base64 import b64encode
 from collections import Counter
+from contextlib import suppress
 from datetime import datetime, timedelta, timezone
 from itertools import accumulate, chain
 from types import TracebackType
@@ -167,6 +168,8 @@ def _count_levels(columns: Iterable[TableColumn]) -> int:
 class RunTable:
     """A new table with the records of a playback; a context manager. The file is complete when it is closed.
 
+    If the block of the context manager raises an exception, the file is closed as it is.
+
     `begin` is called once, after the records of incomplete files and before all others.
 
     Args:
@@ -243,9 +246,25 @@ class RunTable:
         """Write a row with the message of a topic, which is serialized; None without a message."""
         raise NotImplementedError
 
+    def _finish(self) -> None:
+        """Write what is not in the file yet."""
+
     def close(self) -> None:
         """Complete the file."""
-        raise NotImplementedError
+        if self._file is None:
+            return
+        try:
+            self._finish()
+            self._file.close()
+        except BaseException:
+            self._discard()
+            raise
+
+    def _discard(self) -> None:
+        """Close the file as it is."""
+        # The buffer may be what cannot be written.
+        with suppress(OSError):
+            self._file.close()
 
     def __enter__(self) -> "RunTable":
         return self
@@ -256,7 +275,10 @@ class RunTable:
         error: Optional[BaseException],
         traceback: Optional[TracebackType],
     ) -> None:
-        self.close()
+        if error is None:
+            self.close()
+        elif self._file is not None:
+            self._discard()
 
 
 def _make_reader(definition: Definition, definitions: Definitions) -> Callable[[bytes], Any]:
@@ -411,16 +433,17 @@ class ParquetTable(RunTable):
             self._dropped[column.name] += kept.count(None) - values.count(None)
             return self._arrow.array(kept, arrow_type)
 
-    def close(self) -> None:
+    def _discard(self) -> None:
+        # Otherwise its destructor would write to the closed file.
+        if self._writer is not None:
+            self._writer.is_open = False
+        super()._discard()
+
+    def _finish(self) -> None:
         """Write the remaining rows and the index."""
-        if self._writer is None:
-            return
-        try:
-            if self._rows:
-                self._flush()
-        finally:
-            self._writer.close()
-            self._file.close()
+        if self._rows:
+            self._flush()
+        self._writer.close()
         for name, count in self._dropped.items():
             log.warning(
                 "column %s: %s of more than 64 bits: null in the result", name, format_count(count, "integer")
@@ -490,11 +513,6 @@ class CsvTable(RunTable):
 
     def _write_cells(self, cells: Iterable[str]) -> None:
         self._file.write(",".join(cells) + "\n")
-
-    def close(self) -> None:
-        """Close the file."""
-        if self._file is not None:
-            self._file.close()
 
 
 def _list_leaves(
