@@ -275,8 +275,14 @@ def test_integers_beyond_64_bits_are_null(tmp_path: Path, caplog: pytest.LogCapt
     assert [row["ended_ns"] for row in read_rows(tmp_path / "p")] == [9 * SECOND, None, None]
     assert "column ended_ns: 2 integers of more than 64 bits: null in the result" in caplog.text
     write_table(CsvTable, tmp_path / "c", [far], has_events=True)
+    assert f",,{-(1 << 70)},,{1 << 70}," in (tmp_path / "c").read_text()
+
+
+def test_timestamps_of_csv_have_years_of_four_digits(tmp_path: Path) -> None:
+    event = {"event": "e", "start": -50 * 10**18, "end": 0}
+    write_table(CsvTable, tmp_path / "c", [event], has_events=True)
     row = read_csv(tmp_path / "c")[1]
-    assert (row["ended"], row["ended_ns"]) == ("", str(1 << 70))
+    assert (row["started"], row["ended"]) == ("0385-07-25T07:06:40.000000Z", "1970-01-01T00:00:00.000000Z")
 
 
 @pytest.mark.parametrize("table_type", [ParquetTable, CsvTable])

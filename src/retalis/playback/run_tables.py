@@ -16,7 +16,7 @@ import logging
 from base64 import b64encode
 from collections import Counter
 from contextlib import suppress
-from datetime import datetime, timedelta, timezone
+from datetime import datetime, timedelta
 from itertools import accumulate, chain
 from types import TracebackType
 from typing import (
@@ -484,7 +484,6 @@ class CsvTable(RunTable):
         """Columns before and after those of messages."""
         self._leaves: Dict[str, List[_CsvLeaf]] = {}
         """Columns of messages by topic."""
-        self._blank = ""
 
     def _open(self, columns: List[TableColumn]) -> None:
         names = [column.name for column in columns]
@@ -537,6 +536,8 @@ def _format_cell(leaf: _CsvLeaf, row: Mapping[str, Any]) -> str:
     if column.is_list or column.type == "texts":
         return _quote(json.dumps(_plain_value(column, value), ensure_ascii=False))
     plain = _plain_value(column, value)
+    if plain is None:
+        return ""
     if plain.__class__ is bool:
         return "true" if plain else "false"
     return repr(plain) if isinstance(plain, (int, float)) else _quote(plain)
@@ -553,16 +554,16 @@ def _plain_value(column: TableColumn, value: Any) -> Any:
     return value if convert is None else convert(value)
 
 
-_EPOCH = datetime(1970, 1, 1, tzinfo=timezone.utc)
+_EPOCH = datetime(1970, 1, 1)
 
 
-def _format_timestamp(nanoseconds: int) -> str:
-    """Return an instant in ISO 8601; "" outside of the years 1 to 9999."""
+def _format_timestamp(nanoseconds: int) -> Optional[str]:
+    """Return an instant in ISO 8601; None outside of the years 1 to 9999."""
     try:
         instant = _EPOCH + timedelta(microseconds=nanoseconds // 1000)
     except OverflowError:
-        return ""
-    return instant.strftime("%Y-%m-%dT%H:%M:%S.%fZ")
+        return None
+    return f"{instant.isoformat(timespec='microseconds')}Z"
 
 
 _PLAIN_VALUES: Dict[str, Callable[[Any], Any]] = {
