@@ -1,10 +1,10 @@
 """Manifests of results, for option ``--resume``: what each result was computed from.
 
-The manifest of ``OUTPUT/r1/day.jsonl`` is ``OUTPUT/.manifest/r1/day.jsonl.json``, also if the result is in a
-partition of a day; those of robots are below ``OUTPUT/.manifest``, too. The process that has computed the
-result writes it, so that a run whose client has ended can be resumed. A result is whole if its content is that of the
-manifest, and so are the version of retalis, the program, the options and the bag. The content of a file is known by
-its digest, which takes 2 ms a megabyte, and that of an object at a URL by its size and ETag.
+The manifest of ``OUTPUT/r1/day.jsonl`` is ``OUTPUT/.manifest/r1/day.jsonl.json``, also if the result is in the
+partition of a day; with partitions by robot, it is in ``OUTPUT/.manifest/robot=r07/``. The process that has computed
+the result writes it, so that a run whose client has ended can be resumed. A result is whole if its content is that of
+the manifest, and so are the version of retalis, the program, the options and the bag. The content of a file is known
+by its digest, which takes 2 ms a megabyte, and that of an object at a URL by its size and ETag.
 """
 
 import json
