@@ -1,6 +1,6 @@
 """Server and client of an action, whose goal stalls until the program has noticed it, and is then canceled.
 
-Prints what the program publishes on ``seen``, up to the end of the goal.
+Prints what the program publishes on ``seen``, until it has seen the request to cancel the goal, and its end.
 """
 
 import threading
@@ -12,8 +12,6 @@ from actionlib.msg import TestAction, TestFeedback, TestGoal, TestResult
 from std_msgs.msg import String
 
 TIMEOUT_SECONDS = 60.0
-
-END = "result canceled 7"
 
 
 class Peer:
@@ -60,7 +58,8 @@ def main() -> None:
     client.send_goal(TestGoal(4))
     peer.wait_for("stalled")
     client.cancel_goal()
-    peer.wait_for(END)
+    peer.wait_for("cancel")
+    peer.wait_for("result canceled 7")
     print("\n".join(peer.seen))
     # The thread of the server would keep the process from ending.
     rospy.signal_shutdown("done")

@@ -45,7 +45,8 @@ def test_stalled_and_canceled_goal_is_seen(devel: Any, tmp_path: Path, direct: s
     devel.expect(lambda nodes, services: "/retalis/reload" in services)
     printed = devel.run("python3", str(Path(__file__).with_name("action_peer.py")))
     seen = printed.splitlines()
-    # Each topic has a connection of its own, so that the first events may change places.
+    # Each topic has a connection of its own, so that events of two topics may change places.
     assert sorted(seen[:2]) == ["feedback 5", "goal 4"]
-    assert seen[2:] == ["stalled", "cancel", "result canceled 7"]
+    assert seen[2] == "stalled"
+    assert sorted(seen[3:]) == ["cancel", "result canceled 7"]
     assert "ERROR" not in devel.printed()
