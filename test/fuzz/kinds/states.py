@@ -85,6 +85,9 @@ MAX_LATER_EVENTS = 100
 MAX_EVENTS_SECONDS, MAX_DERIVED_EVENTS = 0.5, 1000
 """CPU time in seconds, and number of derived events, after which it gets no further events."""
 
+PATIENT_SETTINGS = SETTINGS._replace(limits=SETTINGS.limits._replace(seconds=10.0))
+"""Settings for a snapshot of the package itself, which on a busy machine may take longer than an input may."""
+
 QUERIES = (
     "memory_size(M, N)",
     "r(X, Y)",
@@ -250,7 +253,7 @@ class Inputs(Kind):
         LOGGED.check()
         try:
             snapshot = engine.snapshot()
-            Engine.restore(snapshot, settings=SETTINGS)
+            Engine.restore(snapshot, settings=PATIENT_SETTINGS)
         except RetalisError as error:
             raise FindingError(
                 "difference", f"the state of the restored engine: {error}"[:300], "states"
