@@ -25,7 +25,7 @@ from .robot_events import RobotEvent, read_robot_event
 
 REFUSE, RELOAD = "refuse", "reload"
 ON_CHANGE = (REFUSE, RELOAD)
-"""What a restored robot does if its program has changed: raise an error, or load the program and keep its state."""
+"""Choices for a restored robot whose program has changed: raise an error, or load the program and keep its state."""
 
 MAX_SESSIONS = 8
 """Maximum number of sessions of a robot whose last event is remembered; the least recently used is forgotten."""
