@@ -336,6 +336,21 @@ def restore_process_state(before: List[Any]) -> List[str]:
     return changes
 
 
+@pytest.hookimpl(tryfirst=True)
+def pytest_runtest_setup(item: pytest.Item) -> None:
+    """Remove the callback of hypothesis from the garbage collector of Python 3.8; it only measures time.
+
+    If a callback reaches the recursion limit, because a collection starts there, this Python discards the
+    `RecursionError` and aborts the process when the recursion goes on. Hypothesis adds its callback once.
+    """
+    if sys.version_info < (3, 9):
+        gc.callbacks[:] = [callback for callback in gc.callbacks if not is_of_hypothesis(callback)]
+
+
+def is_of_hypothesis(callback: Any) -> bool:
+    return (getattr(callback, "__module__", None) or "").startswith("hypothesis.")
+
+
 @pytest.fixture(autouse=True)
 def unchanged_process(request: pytest.FixtureRequest) -> Iterator[None]:
     """Fail a test that leaves the process in another state than it found it in.

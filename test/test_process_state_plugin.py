@@ -119,6 +119,19 @@ def owner():
 
 def test_unchanged_after_owner_of_thread_is_deleted(process, owner):
     assert not owner.end.is_set()
+
+
+def test_callback_of_hypothesis_is_added(process):
+    def callback(phase, info):
+        pass
+
+    callback.__module__ = "hypothesis.internal"
+    gc.callbacks.append(callback)
+
+
+def test_callback_of_hypothesis_is_removed_before_next_test_on_python_3_8(process):
+    is_removed = [callback.__module__ for callback in gc.callbacks] == []
+    assert is_removed == (sys.version_info < (3, 9))
 """
 
 TEST = """
@@ -154,5 +167,5 @@ def test_change_is_an_error_and_restored(output: str, name: str) -> None:
 
 
 def test_tests_without_change_pass(output: str) -> None:
-    count = 2 * len(CHANGES) + 5
+    count = 2 * len(CHANGES) + 7
     assert re.search(rf"= {count} passed, {len(CHANGES)} errors in ", output), output
