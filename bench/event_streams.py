@@ -12,7 +12,7 @@ from typing import Any, Callable, Dict, Iterator, List, NamedTuple, Tuple
 
 from retalis import Engine, Term, Var, atom, functor, limit_gc_pauses, restore_gc
 from retalis.events.dispatch.listeners import ListenerPhase
-from retalis.events.rules import timer_service
+from retalis.events.rules import program_timers
 from retalis.prolog.terms.timestamps import SECOND
 
 MOST_STEPS = 100_000
@@ -311,7 +311,7 @@ class StreamBench:
         self.size = size
         self.engine = engine = Engine()
         engine.rules.network.limit_stored(size if row.is_limited else 10**8)
-        timer_service.MAX_TIMERS = max(timer_service.MAX_TIMERS, size)
+        program_timers.MAX_TIMERS = max(program_timers.MAX_TIMERS, size)
         for at in range(0, size if row.declares else 0, 1000):
             names = ", ".join(f"e{number}(x:integer)" for number in range(at, min(at + 1000, size)))
             engine.load(rules=f":- event {names}.")

@@ -15,7 +15,7 @@ PAGE = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
 QUOTED = re.compile(r"`([^`\n]+)`")
 SECTIONS = re.compile(r"^### ([^\n]*)\(([^\n]*)\)\n(.*?)(?=^##)", re.MULTILINE | re.DOTALL)
 WITHOUT_EXAMPLE = {
-    "src/retalis/prolog/system/system_predicates.py",
+    "src/retalis/prolog/system/predicate_resolution.py",
     "src/retalis/events/language/pattern_parser.py",
     "src/retalis/events/network/rule_compiler.py",
     "src/retalis/prolog/builtins/builtin_registry.py",

@@ -14,7 +14,7 @@ from retalis.engine.event_input import MAX_EVENT_TEXT_CHARACTERS
 from retalis.events.knowledge import event_states
 from retalis.events.language import state_parser
 from retalis.events.program import topic_configuration
-from retalis.events.rules import timer_service
+from retalis.events.rules import program_timers
 from retalis.foundation import errors, ros_name_checks
 from retalis.foundation.displayed_text import MAX_SHOWN_CHARACTERS
 from retalis.foundation.errors import MAX_MESSAGE_CHARACTERS
@@ -55,7 +55,7 @@ FIXED_LIMITS = {
     "integers": f"{arithmetic.MAX_INTEGER_BITS:,} bits ({int(arithmetic.MAX_INTEGER_BITS * log10(2)) + 1:,} digits)",
     "texts that goals make": f"{millions(text_arguments.MAX_TEXT_CHARACTERS)} characters",
     "terms that goals traverse": f"{millions(term_traversal.MAX_STEPS)} parts",
-    "timers": f"{timer_service.MAX_TIMERS:,}, each at most once a millisecond; {timer_service.MAX_FIRINGS_PER_JUMP:,} firings at once",
+    "timers": f"{program_timers.MAX_TIMERS:,}, each at most once a millisecond; {program_timers.MAX_FIRINGS_PER_JUMP:,} firings at once",
     "states": STATES,
 }
 

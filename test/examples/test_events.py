@@ -9,7 +9,7 @@ import pytest
 
 from retalis.cli.command_line import main
 from retalis.events.language.event_operators import PAIR_OPERATORS
-from retalis.events.matches.network_options import ConsumptionPolicy
+from retalis.events.matches.match_policies import ConsumptionPolicy
 
 FOLDER = Path(__file__).resolve().parents[2] / "examples" / "events"
 EXAMPLES = sorted(path.parent for path in FOLDER.glob("*/rules.txt"))

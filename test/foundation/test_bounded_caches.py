@@ -20,7 +20,7 @@ CACHED_FUNCTIONS = {
         "interval_bounds",
     ): "1000 entries of an operator's name and two numbers",
     ("prolog/builtins/listing_and_messages.py", "_layout_operators"): "one entry",
-    ("prolog/system/system_predicates.py", "library_index"): "one entry",
+    ("prolog/system/predicate_resolution.py", "library_index"): "one entry",
     ("prolog/swi/libswipl.py", "find_library"): "one entry",
     ("messages/idl_definitions.py", "_make_parser"): "one entry",
     ("prolog/swi/swi_session.py", "_start_runtime"): "one entry",

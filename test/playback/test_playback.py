@@ -23,7 +23,7 @@ from retalis import (
     deref,
 )
 from retalis.events.program.topic_configuration import ANY_QUALITY
-from retalis.events.rules import timer_service
+from retalis.events.rules import program_timers
 from retalis.messages.cdr_encoder import CdrEncoder
 from retalis.messages.type_definition import HEADER, SEPARATOR
 from retalis.playback.bag_locations import open_bag
@@ -357,7 +357,7 @@ def test_timers_fire_as_for_event_stream(program: Any, bag: Any) -> None:
 
 
 def test_timer_events_in_gap_are_limited(program: Any, bag: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(timer_service, "MAX_FIRINGS_PER_JUMP", 100)
+    monkeypatch.setattr(program_timers, "MAX_FIRINGS_PER_JUMP", 100)
     path = bag(*points(10, 20, 5000, 5003))
     _, events, (problem,) = run(program("null <- tick.", "timer(tick, every(1))", IN), path)
     assert "4979 events of timer tick, every(1) left out" in problem

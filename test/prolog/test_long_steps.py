@@ -8,7 +8,7 @@ from asserting_accessors import compound
 from prolog.support import prolog
 
 from retalis import Limits, PrologError, String, Term, Var, atom, functor, make_list
-from retalis.foundation.cancellation import set_limit_check
+from retalis.foundation.limit_checks import set_limit_check
 from retalis.prolog.builtins import list_predicates
 from retalis.prolog.builtins.atoms_and_strings import _split, _split_words
 from retalis.prolog.builtins.list_predicates import sorted_positions

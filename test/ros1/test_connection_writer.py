@@ -15,7 +15,7 @@ from reachable_objects import reachable  # noqa: E402
 from rospy.exceptions import TransportTerminated  # noqa: E402
 
 from retalis import Reports  # noqa: E402
-from retalis.ros1 import connection_writer, late_peer_buffer, text_topics  # noqa: E402
+from retalis.ros1 import connection_writer, internode_delivery, text_topics  # noqa: E402
 from retalis.ros1.connection_writer import TopicWriter  # noqa: E402
 from retalis.ros1.text_topics import EventTextPublisher, OutputTextPublisher, serialize_string  # noqa: E402
 
@@ -64,13 +64,13 @@ def numbered_message(number: int) -> Any:
 def end_identification(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """End the threads that identify subscribers, as the end of a node does."""
     identifiers: List[Any] = []
-    start = late_peer_buffer.SubscriberIdentifier.start
+    start = internode_delivery.SubscriberIdentifier.start
 
     def start_and_record(identifier: Any, *arguments: Any) -> None:
         identifiers.append(identifier)
         start(identifier, *arguments)
 
-    monkeypatch.setattr(late_peer_buffer.SubscriberIdentifier, "start", start_and_record)
+    monkeypatch.setattr(internode_delivery.SubscriberIdentifier, "start", start_and_record)
     yield
     monkeypatch.setattr(rospy, "is_shutdown", lambda: True)
     for identifier in identifiers:
@@ -373,7 +373,7 @@ def test_latched_topic_without_message_sends_nothing(make_writer: Any, link: Any
 def test_texts_are_written_together_in_order(
     make_writer: Any, link: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(late_peer_buffer, "find_nodes_offering", lambda service: {link.endpoint_id})
+    monkeypatch.setattr(internode_delivery, "find_nodes_offering", lambda service: {link.endpoint_id})
     writer, turn = EventTextPublisher("/topic", 1000, Reports(), lambda: 0), threading.Lock()
     writer.start_identification(turn, set)
     writer.add("a")
@@ -415,7 +415,7 @@ def test_outputs_are_sent_to_interface_in_order(
         services.append(service)
         return {link.endpoint_id}
 
-    monkeypatch.setattr(late_peer_buffer, "find_nodes_offering", offering)
+    monkeypatch.setattr(internode_delivery, "find_nodes_offering", offering)
     writer = OutputTextPublisher("/topic", 1000, Reports(), ["out", "foo bar"], [])
     for topic, text in (("out", "a"), ("watched", "b"), ("/out", "c"), ("not a name", "d")):
         writer.send(topic, text.__str__)
@@ -448,7 +448,7 @@ def test_only_published_outputs_wait_for_interface(monkeypatch: pytest.MonkeyPat
     for expected in (b"sab", b"sc"):
         link = make_link()
         monkeypatch.setattr(
-            late_peer_buffer, "find_nodes_offering", lambda service, name=link.endpoint_id: {name}
+            internode_delivery, "find_nodes_offering", lambda service, name=link.endpoint_id: {name}
         )
         connections[:] = []
         if expected == b"sc":

@@ -12,7 +12,7 @@ pytest.importorskip("retalis.srv", reason="the services of the package are not b
 from retalis import UsageError  # noqa: E402
 from retalis.ros1 import rospy_client  # noqa: E402
 from retalis.ros1.internode_control_topics import INPUT_CHANGES_TOPIC  # noqa: E402
-from retalis.ros1.late_peer_buffer import find_nodes_offering  # noqa: E402
+from retalis.ros1.internode_delivery import find_nodes_offering  # noqa: E402
 from retalis.ros1.rospy_client import RospyClient  # noqa: E402
 
 

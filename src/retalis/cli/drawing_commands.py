@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Callable, Dict, List, Optional, Sequence, Tupl
 
 from ..engine.engine import Engine
 from ..engine.engine_settings import Settings
-from ..engine.ros_parameters import no_parameters
+from ..engine.ros_param_predicate import no_parameters
 from ..engine.run_records import open_records
 from ..events.program.topic_configuration import GOALS, TOPICS, Topics, read_topics
 from ..foundation.errors import ProgramErrors, UsageError

@@ -52,9 +52,9 @@ from .engine_status import DEFAULT_LISTING_LIMIT, Status
 from .event_input import Subscribe
 from .hot_reload import NullReports, create_fixed_clock, create_trial_settings, reload_folder
 from .loaded_items import Deployment
-from .processed_messages import IdentifiedMessage
 from .program_loader import ProgramLoader, resolve_path
-from .ros_parameters import ReadParameter
+from .redelivered_messages import IdentifiedMessage
+from .ros_param_predicate import ReadParameter
 from .runtime.problem_reports import Reports
 from .runtime.serial_executor import UNNAMED_REQUEST
 from .service_calls import CallService
@@ -371,7 +371,7 @@ class Engine:
     def post_identified(self, messages: Iterable[Tuple[IdentifiedMessage, Optional[int]]]) -> None:
         """Queue messages as `post_each` does, without those that the restored state contains.
 
-        >>> from retalis.engine.processed_messages import IdentifiedMessage
+        >>> from retalis.engine.redelivered_messages import IdentifiedMessage
         >>> battery = IdentifiedMessage(functor("battery", 1)(87), "/battery", (1_500_000_000, 1))
         >>> engine = Engine()
         >>> engine.post_identified([(battery, 1_500_000_000)])

@@ -29,7 +29,7 @@ from .engine_status import StatusReader
 from .event_input import EventInput, InputTopics, TextInput
 from .loaded_items import LoadedProgram
 from .program_loader import ProgramLoader
-from .ros_parameters import RosParameters
+from .ros_param_predicate import RosParameters
 from .runtime.problem_reports import Reports
 from .runtime.serial_executor import EngineRecovery, SerialExecutor
 from .runtime.watchdog import report_exceeded_limits, start_watchdog

@@ -28,8 +28,8 @@ from ..events.knowledge.pending_queries import AwaitedSource, PendingQuery
 from ..events.knowledge.subscriptions import Subscription, SubscriptionKey
 from ..events.knowledge.transform_predicates import AwaitedTransform, Transforms
 from ..events.network.event_rule import EventRule
+from ..events.rules.program_timers import FIRST_INSTANT
 from ..events.rules.rule_base import RuleBase
-from ..events.rules.timer_service import FIRST_INSTANT
 from ..foundation.displayed_text import shorten
 from ..prolog.terms.types import CompoundTerm, Term, Var, deref
 from .event_input import EventInput

@@ -36,7 +36,7 @@ from ..prolog.terms.timestamps import format_distance
 from ..prolog.terms.types import Atom, String, Term, Var, deref
 from ..serialization.field_types import COUNT
 from ..serialization.state_fields import StateFields, StateOwner, field, part
-from .processed_messages import IdentifiedMessage, ProcessedMessages
+from .redelivered_messages import IdentifiedMessage, ProcessedMessages
 from .runtime.problem_reports import Reports
 
 log = logging.getLogger("retalis")

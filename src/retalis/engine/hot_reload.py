@@ -22,7 +22,7 @@ from typing import Callable, Dict, Hashable, Iterable, List, Sequence
 from ..events.clock.clock import Clock, StreamClock
 from ..events.knowledge.memory import MemoryInstance
 from ..events.network.event_rule import EventRule
-from ..events.rules.timer_service import ProgramTimer
+from ..events.rules.program_timers import ProgramTimer
 from ..foundation.displayed_text import format_count
 from ..foundation.errors import Errors, ProgramErrors, RuleError, UsageError
 from ..prolog.builtins.tabling import tables_of

@@ -16,8 +16,8 @@ from ..events.knowledge.subscriptions import Subscription, SubscriptionKey
 from ..events.language.rule_labels import Property
 from ..events.network.event_rule import EventRule
 from ..events.program.event_file_loader import EventFileLoader
+from ..events.rules.program_timers import ProgramTimer, Timers
 from ..events.rules.rule_base import RuleBase
-from ..events.rules.timer_service import ProgramTimer, Timers
 from ..prolog.database.clause_index import Clause
 from ..prolog.database.predicate import Predicate
 from ..prolog.system.prolog_snapshot import CLAUSES, StoredClause, program_predicates

@@ -43,7 +43,7 @@ from ..prolog.system.prolog_system import PrologSystem
 from ..prolog.terms.types import CompoundTerm, Functor, Term
 from .engine import Engine
 from .engine_settings import Settings
-from .ros_parameters import no_parameters
+from .ros_param_predicate import no_parameters
 from .runtime.problem_reports import Reports
 
 

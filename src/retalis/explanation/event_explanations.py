@@ -16,9 +16,9 @@ from ..engine.engine import Engine
 from ..engine.loaded_items import LoadedProgram
 from ..events.knowledge.event_states import StateRegistry
 from ..events.network.lineage_graph import Occurrence
-from ..foundation.cancellation import set_limit_check
 from ..foundation.displayed_text import format_count
 from ..foundation.errors import RetalisError, UsageError
+from ..foundation.limit_checks import set_limit_check
 from ..prolog.syntax.term_reader import read_term
 from ..prolog.terms import timestamps
 from ..prolog.terms.list_terms import list_items

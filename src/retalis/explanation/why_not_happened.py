@@ -6,7 +6,7 @@ from ..engine.loaded_items import LoadedProgram
 from ..events.checks.program_model import MIN_SIMILARITY
 from ..events.knowledge.event_states import DeclaredState, OpenState
 from ..events.language.pattern_tree import AggregatePattern, RatePattern, WindowPattern, walk
-from ..events.matches.network_options import AfterMatchSkipStrategy
+from ..events.matches.match_policies import AfterMatchSkipStrategy
 from ..events.network.event_rule import EventRule
 from ..events.network.lineage_graph import Occurrence
 from ..foundation.similar_names import did_you_mean

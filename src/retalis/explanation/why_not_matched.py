@@ -51,7 +51,7 @@ from ..events.language.stream_parser import (
     timeout_term,
     window_term,
 )
-from ..events.matches.network_options import NetworkOptions
+from ..events.matches.match_policies import NetworkOptions
 from ..events.network.event_rule import EventRule
 from ..events.network.goal_evaluation import Evaluators
 from ..events.network.lineage_graph import Occurrence
@@ -62,8 +62,8 @@ from ..events.streams.rate_operators import RATE_OPERATORS
 from ..events.streams.row_pattern import RowPatternWindow
 from ..events.streams.stream_operators import StreamElement, StreamOutput
 from ..foundation import codegen
-from ..foundation.cancellation import check_limits
 from ..foundation.errors import RetalisError, RuleError
+from ..foundation.limit_checks import check_limits
 from ..prolog.system.prolog_system import PrologSystem
 from ..prolog.terms import timestamps
 from ..prolog.terms.term_traversal import copy, variables

@@ -6,8 +6,8 @@ from typing import Any, Callable, Iterator, List, NamedTuple, Optional, Sequence
 from ..events.knowledge.subscriptions import Subscription, SubscriptionKey
 from ..events.language.stream_parser import subscription_event
 from ..events.network.lineage_graph import Occurrence
-from ..foundation.cancellation import check_limits
 from ..foundation.errors import RetalisError
+from ..foundation.limit_checks import check_limits
 from ..prolog.system.prolog_system import PrologSystem
 from ..prolog.terms.list_terms import list_items
 from ..prolog.terms.term_traversal import copy

@@ -18,7 +18,7 @@ from ..foundation.displayed_text import format_count
 from ..foundation.errors import MessageError, UsageError
 from ..foundation.similar_names import did_you_mean
 from ..foundation.source_places import Place
-from ..prolog.syntax.slot_defaults import MessageNotation, MessageSlot, MessageSuggestions
+from ..prolog.syntax.named_slots import MessageNotation, MessageSlot, MessageSuggestions
 from ..prolog.terms.byte_texts import plain_text_atom, text_atom
 from ..prolog.terms.term_traversal import copy
 from ..prolog.terms.types import FALSE, TRUE, Term, atom

@@ -35,7 +35,7 @@ from typing import (
 )
 
 from ..engine.event_input import TopicRequest
-from ..engine.processed_messages import IdentifiedMessage, MessageIdentity
+from ..engine.redelivered_messages import IdentifiedMessage, MessageIdentity
 from ..engine.runtime.clock_epochs import ClockEpochs
 from ..engine.runtime.clock_skew import ClockSkewMonitor, EarlyMessage, RefusedMessage
 from ..engine.runtime.problem_reports import Reports

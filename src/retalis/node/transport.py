@@ -27,7 +27,7 @@ from typing import (
     Tuple,
 )
 
-from ..engine.processed_messages import MessageIdentity
+from ..engine.redelivered_messages import MessageIdentity
 from ..engine.service_calls import ServiceCall
 from ..events.knowledge.transform_buffer import TransformBuffer
 from ..events.program.topic_configuration import ANY_QUALITY, QualityOfService

@@ -113,7 +113,7 @@ class TextInterfaceNode:
         self._direct = announce_direct(parameters.direct)
         InterfaceServices(transport, subscribed)
         ListService(transport, subscribed.statuses, reports=reports)
-        # After the services: they identify this node to node retalis as soon as it connects; see `late_peer_buffer`.
+        # After the services: they identify this node to node retalis once it connects; see `internode_delivery`.
         subscribed.subscribe_texts(OUTPUT, make_text_handler_factory(self._published.publish_text))
         program_status = evaluate_program(errors, [])
         expected_topics = [

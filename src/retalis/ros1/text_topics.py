@@ -46,7 +46,7 @@ from ..node.topic_statistics import OutputStatus, describe_publication
 from ..node.transport_time import Receipts
 from ..prolog.terms.types import Term
 from .connection_writer import TopicWriter
-from .late_peer_buffer import ENGINE, INTERFACE, LatePeerBuffer, Publishers, SubscriberIdentifier
+from .internode_delivery import ENGINE, INTERFACE, LatePeerBuffer, Publishers, SubscriberIdentifier
 from .topic_names import resolve
 
 MAX_TEXTS_PER_WRITE = 64

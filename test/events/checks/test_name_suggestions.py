@@ -9,7 +9,7 @@ from retalis import Definitions, Engine, functor
 from retalis.events.checks import program_model
 from retalis.events.checks.condition_checks import find_impossible_conditions
 from retalis.events.checks.event_flow_checks import find_declaration_violations
-from retalis.events.checks.long_event_window_checks import find_windows_of_long_events
+from retalis.events.checks.interval_event_window_checks import find_windows_of_long_events
 from retalis.events.checks.number_type_checks import find_number_type_mismatches
 from retalis.events.checks.program_model import FunctorSuggestions, ProgramModel
 from retalis.events.checks.variable_name_checks import find_constants_meant_as_variables

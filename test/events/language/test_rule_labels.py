@@ -5,7 +5,7 @@ from events.load_problems import assert_refused, warnings_of
 
 from retalis import Engine
 from retalis.events.language.rule_labels import MAX_NAME_CHARACTERS, WORD_PROPERTIES, rule_title
-from retalis.events.matches.network_options import AfterMatchSkipStrategy, ConsumptionPolicy
+from retalis.events.matches.match_policies import AfterMatchSkipStrategy, ConsumptionPolicy
 from retalis.foundation.source_places import line_of
 
 LABEL_ADVICE = "a label is an atom, or Label([property(Name, Value), ...])"

@@ -7,7 +7,7 @@ import pytest
 from events.program_runner import ProgramRunner, format_events, outputs_of
 
 from retalis import Engine, UsageError
-from retalis.events.matches.network_options import ConsumptionPolicy, check_policy
+from retalis.events.matches.match_policies import ConsumptionPolicy, check_policy
 
 DISTINCT_EVENTS = "a(1)@1 a(2)@2 b@3 b@4"
 EQUAL_EVENTS = "a@1 a@2 b@3 b@4"

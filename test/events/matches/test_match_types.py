@@ -16,7 +16,7 @@ from retalis.events.matches.match_types import (
     identity,
     unify_values,
 )
-from retalis.foundation.cancellation import set_limit_check
+from retalis.foundation.limit_checks import set_limit_check
 from retalis.prolog.terms.types import deref
 
 

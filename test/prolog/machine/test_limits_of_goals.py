@@ -10,8 +10,8 @@ from prolog.support import first, prolog
 from recording_reports import RecordingReports
 
 from retalis import Engine, Limits, ProgramErrors, PrologError, Settings, UsageError, Var, atom, functor
-from retalis.foundation.cancellation import check_limits
 from retalis.foundation.interrupts import Interrupt, postpone
+from retalis.foundation.limit_checks import check_limits
 from retalis.prolog.syntax.term_writer import writeq
 
 PROGRAM = """

@@ -16,7 +16,7 @@ sys.path.append(str(Path(__file__).resolve().parents[1]))
 from harness import ENGINE, INTERFACE, Collector, NodeProcesses, wait_for_service, wait_until  # noqa: E402
 
 from retalis import srv  # noqa: E402
-from retalis.ros1.late_peer_buffer import has_ended  # noqa: E402
+from retalis.ros1.internode_delivery import has_ended  # noqa: E402
 
 PROGRAM = Path(__file__).resolve().parent / "direct"
 

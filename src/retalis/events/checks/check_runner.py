@@ -15,7 +15,7 @@ from ..program.topic_configuration import read_text
 from .condition_checks import find_impossible_conditions
 from .event_cycle_checks import find_cycles
 from .event_flow_checks import find_declaration_violations, find_unconsumed_events, find_unproduced_events
-from .long_event_window_checks import find_windows_of_long_events
+from .interval_event_window_checks import find_windows_of_long_events
 from .memory_checks import find_empty_memories, find_record_mismatches, find_unknown_memories
 from .message_checks import (
     find_awaited_constants,

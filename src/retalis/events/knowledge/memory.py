@@ -35,7 +35,7 @@ from typing import (
     Union,
 )
 
-from ...foundation.cancellation import check_limits
+from ...foundation.limit_checks import check_limits
 from ...prolog.machine.errors import PrologError, instantiation_error, type_error
 from ...prolog.machine.resource_limits import record_caught_error
 from ...prolog.system.prolog_system import PrologSystem

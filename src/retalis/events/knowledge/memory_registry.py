@@ -11,8 +11,8 @@ from collections import Counter
 from typing import Any, Callable, Dict, Hashable, Iterable, Iterator, List, Optional, Sequence, Tuple
 
 from ...foundation.callbacks import CallbackList
-from ...foundation.cancellation import check_limits
 from ...foundation.errors import UsageError
+from ...foundation.limit_checks import check_limits
 from ...prolog.builtins.tabling import tables_of
 from ...prolog.builtins.time_predicates import instant_of
 from ...prolog.machine.errors import domain_error, permission_error, type_error

@@ -32,8 +32,8 @@ from ..dispatch.dispatcher import Dispatcher
 from ..dispatch.listeners import Listener, ListenerPhase
 from ..language.pattern_tree import RatePattern
 from ..language.stream_parser import subscription_event, subscription_rate_operator
+from ..matches.match_policies import NetworkOptions
 from ..matches.match_types import EventMatch
-from ..matches.network_options import NetworkOptions
 from ..matches.watermarks import PatternWatermark, functor_of
 from ..network.network_context import NetworkContext
 from ..network.stream_compiler import compile_rate_spec

@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Deque, Iterable, Optional, Sequence
 from ...prolog.terms.timestamps import BEFORE_ALL_INSTANTS
 from ...serialization.state_fields import StateOwner
 from .expiration import VISITED_SLICE_ENTRIES, StartExpirationQueue, remove_stale_entries
+from .match_policies import NetworkOptions
 from .match_types import PartialMatch
 from .negation import RuledOutSweep
-from .network_options import NetworkOptions
 
 if TYPE_CHECKING:
     from ...prolog.machine.resource_limits import Meter

@@ -36,8 +36,8 @@ from ...prolog.terms.types import Frame, Values
 from .expiration import retention_for_late
 from .interval_index import BEFORE, BETWEEN, ENDS_AFTER_START, MAX_VALUE, MIN_VALUE, IntervalBounds
 from .match_buffer import MatchBuffer, has_equal_key, key_function
+from .match_policies import NetworkOptions
 from .match_types import PartialMatch, unify_sides
-from .network_options import NetworkOptions
 
 if TYPE_CHECKING:
     from .match_limit import MatchStore

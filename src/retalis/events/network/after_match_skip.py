@@ -20,8 +20,8 @@ from ...serialization.state_fields import StateFields, StateOwner, field
 from ..dispatch.listeners import DEPTH
 from ..matches.consumption_policy import Emit
 from ..matches.expiration import ExpirationQueue
+from ..matches.match_policies import AfterMatchSkipStrategy, NetworkOptions
 from ..matches.match_types import PartialMatch
-from ..matches.network_options import AfterMatchSkipStrategy, NetworkOptions
 from .pattern_nodes import ActionNode, EarlyTestNode, FilterNode, NetworkNode
 
 if TYPE_CHECKING:

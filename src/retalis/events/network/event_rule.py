@@ -75,8 +75,8 @@ from ..language.rule_labels import rule_name, rule_title
 from ..matches.expiration import ExpirationQueue, smaller_bound
 from ..matches.match_buffer import MatchBuffer
 from ..matches.match_limit import MatchStore
+from ..matches.match_policies import NetworkOptions, check_policy
 from ..matches.match_types import MATCH_REFERENCE, TOKEN, PartialMatch
-from ..matches.network_options import NetworkOptions, check_policy
 from ..streams.stream_operators import MATCH_KINDS
 from ..streams.windows import OpenWindow, Window
 from .after_match_skip import AfterMatchSkip, select_skip_state

@@ -54,9 +54,9 @@ from ..matches.consumption_policy import (
 from ..matches.expiration import retention_for_late
 from ..matches.interval_index import interval_bounds
 from ..matches.match_buffer import MatchBuffer
+from ..matches.match_policies import NetworkOptions
 from ..matches.match_types import TOKEN_KEY, ComputedValues, PartialMatch, is_retracted, unify_sides
 from ..matches.negation import DeferredNegations, NegationBuffer, OverlapBuffer, OverlapSweep, RuledOutSweep
-from ..matches.network_options import NetworkOptions
 from .goal_evaluation import Test
 from .lineage_graph import MatchOrPair
 from .pattern_nodes import (

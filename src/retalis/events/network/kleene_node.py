@@ -51,6 +51,7 @@ from ..matches.consumption_policy import (
 )
 from ..matches.interval_index import interval_bounds
 from ..matches.match_buffer import MatchBuffer, has_equal_key
+from ..matches.match_policies import NetworkOptions
 from ..matches.match_types import (
     ComputedValues,
     EventMatch,
@@ -62,7 +63,6 @@ from ..matches.match_types import (
     unify_values,
 )
 from ..matches.negation import LATE_START_RETENTION_NANOSECONDS
-from ..matches.network_options import NetworkOptions
 from ..streams.aggregates import SequenceAggregate
 from .condition_placement import RepetitionItems, append_item
 from .goal_evaluation import Test

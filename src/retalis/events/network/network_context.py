@@ -16,8 +16,8 @@ from ..dispatch.dispatcher import Dispatcher
 from ..dispatch.listeners import TERM
 from ..language.pattern_tree import RuleDefinition
 from ..language.rule_heads import is_absolute_alarm
+from ..matches.match_policies import NetworkOptions
 from ..matches.match_types import PartialMatch, event_matches
-from ..matches.network_options import NetworkOptions
 from ..matches.watermarks import Watermarks
 from ..streams.stream_operators import KeyBounds
 from .goal_evaluation import ConditionState, TimedNode

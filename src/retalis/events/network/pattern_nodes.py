@@ -52,6 +52,7 @@ from ..language.pattern_tree import (
 from ..matches.consumption_policy import Emit
 from ..matches.expiration import Retention
 from ..matches.match_buffer import MatchBuffer
+from ..matches.match_policies import NetworkOptions
 from ..matches.match_types import ComputedValues, IdentityWithValues, PartialMatch, identity
 from ..matches.negation import (
     LATE_MATCH_RETENTION_NANOSECONDS,
@@ -60,7 +61,6 @@ from ..matches.negation import (
     NegationBuffer,
     RuledOutSweep,
 )
-from ..matches.network_options import NetworkOptions
 from .goal_evaluation import RuleGoal, Test
 from .lineage_graph import MatchOrPair
 from .repetition_runs import Run, RunGroup, RunGroupBuffer

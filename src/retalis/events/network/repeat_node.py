@@ -40,8 +40,8 @@ from ..language.pattern_tree import SEQ
 from ..matches.consumption_policy import Emit, emit_each, metered
 from ..matches.interval_index import interval_bounds
 from ..matches.match_buffer import MatchBuffer, key_function
+from ..matches.match_policies import NetworkOptions
 from ..matches.match_types import PartialMatch, identity
-from ..matches.network_options import NetworkOptions
 from .join_node import JoinNode
 from .lineage_graph import lineage_nodes_of
 from .pattern_nodes import IdentityFunction, MatchCheck, NetworkNode, OperandBuffer, accepts_none

@@ -69,8 +69,8 @@ from ..language.row_pattern_parser import (
 from ..language.stream_parser import NOT_PRECEDED, positive_nanoseconds
 from ..matches.expiration import UNLIMITED, Retention
 from ..matches.match_buffer import key_function
+from ..matches.match_policies import NetworkOptions
 from ..matches.match_types import PartialMatch, unify_sides
-from ..matches.network_options import NetworkOptions
 from ..streams.absence_timeout import AbsenceTimeout, ComputedAbsenceTimeout, Correlation, NotPrecededFilter
 from ..streams.aggregates import AGGREGATES
 from ..streams.held_window import HELD_AGGREGATES, HeldHoppingWindow, HeldSlidingWindow

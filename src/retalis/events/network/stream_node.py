@@ -62,6 +62,7 @@ from ..fused.fused_window import FusedWindow, compile_fused_window
 from ..language.pattern_tree import Pattern
 from ..matches.consumption_policy import Emit, emit_each, metered
 from ..matches.expiration import smaller_bound
+from ..matches.match_policies import NetworkOptions
 from ..matches.match_types import (
     NO_REPETITIONS,
     ComputedValues,
@@ -71,7 +72,6 @@ from ..matches.match_types import (
     arrival_number_of,
     is_retracted,
 )
-from ..matches.network_options import NetworkOptions
 from ..matches.watermarks import PatternWatermark, functors_of
 from ..streams.row_pattern import MAX_STATES_PER_START
 from ..streams.stream_operators import ELEMENT, KeyBounds, StreamElement, StreamOperator, StreamOutput

@@ -17,8 +17,8 @@ from ...prolog.database.goal_terms import split_clause
 from ...prolog.files.library_names import renaming_clauses
 from ...prolog.machine.errors import PrologError
 from ...prolog.syntax.term_reader import ReadTerm
+from ...prolog.system.predicate_resolution import is_replaceable
 from ...prolog.system.prolog_system import PrologSystem
-from ...prolog.system.system_predicates import is_replaceable
 from ...prolog.terms.list_terms import list_items
 from ...prolog.terms.term_traversal import copy, variables
 from ...prolog.terms.types import (

@@ -23,8 +23,8 @@ from ..language.pattern_parser import no_place
 from ..language.rule_labels import is_rule
 from ..rules.event_input_predicates import EVENT2, define_event_predicates, file_name_of, require_list
 from ..rules.language_flags import FLAGS
+from ..rules.program_timers import define_timers
 from ..rules.rule_base import RuleBase
-from ..rules.timer_service import define_timers
 from .event_file_loader import EventFileLoader
 from .event_file_parser import EventFileParser
 

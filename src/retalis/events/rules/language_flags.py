@@ -9,7 +9,7 @@ from ...prolog.terms.timestamps import from_seconds
 from ...prolog.terms.types import Atom, Term, atom
 from ..language.event_declarations import STRICTLY, UNDECLARED
 from ..language.rule_labels import WATERMARK_DELAY
-from ..matches.network_options import ConsumptionPolicy, NetworkOptions
+from ..matches.match_policies import ConsumptionPolicy, NetworkOptions
 from ..matches.watermarks import DelaySetting, delay_setting
 from ..streams.stream_operators import KeyBounds
 

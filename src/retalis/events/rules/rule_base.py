@@ -24,14 +24,14 @@ from ..language.event_declarations import STRICTLY, UNDECLARED, DeclaredEvents
 from ..language.pattern_tree import RuleDefinition
 from ..language.rule_heads import has_timeout
 from ..language.rule_labels import WATERMARK_DELAY, Property
-from ..matches.network_options import options_with_property
+from ..matches.match_policies import options_with_property
 from ..matches.watermarks import delay_setting
 from ..network.event_rule import EventRule
 from ..network.network_context import NetworkContext
 from ..network.stream_node import StreamNode
 from ..provenance.explanation_terms import Justifier
 from .language_flags import MAX_WATERMARK_DELAY, Flags
-from .timer_service import Timers
+from .program_timers import Timers
 
 _UNLABELED = atom("unlabeled")
 

@@ -6,8 +6,8 @@ ISO 13211-1 prescribes: an instantiation error for an unbound argument, a type o
 
 from typing import TYPE_CHECKING, List, Optional
 
-from ...foundation.cancellation import STEPS_PER_ROUND, check_limits, with_limit_checks
 from ...foundation.errors import MessageError
+from ...foundation.limit_checks import STEPS_PER_ROUND, check_limits, with_limit_checks
 from ..machine.arithmetic import Number
 from ..machine.errors import domain_error, instantiation_error, type_error
 from ..terms.array_terms import ELEMENTS_PER_INFERENCE, lazy_array, view

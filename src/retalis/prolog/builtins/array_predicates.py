@@ -15,7 +15,7 @@ but no result of arithmetic, as in ``is/2``.
 import operator
 from typing import TYPE_CHECKING, Any, Callable, Dict, List, NamedTuple, Optional, Union
 
-from ...foundation.cancellation import check_limits
+from ...foundation.limit_checks import check_limits
 from ..machine.arithmetic import Number, evaluate
 from ..machine.errors import domain_error, evaluation_error, instantiation_error
 from ..terms.array_terms import array_term, element, lazy_array, sum_of_integers

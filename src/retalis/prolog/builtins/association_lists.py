@@ -10,8 +10,8 @@ library are in library/assoc.pl.
 
 from typing import Any, Callable, List, Optional, Tuple
 
-from ...foundation.cancellation import STEPS_PER_ROUND, check_limits, with_limit_checks
 from ...foundation.errors import TermTooLarge
+from ...foundation.limit_checks import STEPS_PER_ROUND, check_limits, with_limit_checks
 from ..machine.errors import instantiation_error, no_matching_rule, type_error
 from ..terms.term_traversal import WALK_ROUNDS
 from ..terms.types import CONS, MINUS, NIL, CompoundTerm, Functor, Term, Var, atom, deref, functor

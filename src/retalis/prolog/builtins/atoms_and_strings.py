@@ -6,7 +6,7 @@ Predicates of atoms and of strings share an implementation, which is passed the 
 
 from typing import Callable, Dict, Iterator, List, Optional, Tuple
 
-from ...foundation.cancellation import STEPS_PER_ROUND, check_limits, in_checked_slices, with_limit_checks
+from ...foundation.limit_checks import STEPS_PER_ROUND, check_limits, in_checked_slices, with_limit_checks
 from ..machine.errors import (
     domain_error,
     existence_error,

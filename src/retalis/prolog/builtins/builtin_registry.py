@@ -1,6 +1,6 @@
 """Registry of built-in predicates that are written in Python.
 
-Each module of this package registers its predicates with a decorator when it is imported; `system_predicates`
+Each module of this package registers its predicates with a decorator when it is imported; `predicate_resolution`
 imports them all, and `PredicateTable` defines every entry of `ENTRIES` in each new program. The decorator states how
 a predicate is called:
 

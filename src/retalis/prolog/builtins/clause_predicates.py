@@ -7,7 +7,7 @@ predicate, which the tables call, and the predicate itself returns the answers o
 
 from typing import Callable, Dict, Iterator, List, Optional, Set, Tuple
 
-from ...foundation.cancellation import STEPS_PER_ROUND, check_limits
+from ...foundation.limit_checks import STEPS_PER_ROUND, check_limits
 from ..compiler.clause_nodes import CONTROL
 from ..compiler.predicate_code import key_of
 from ..database.clause_index import NEVER_RETRACTED, Clause, may_match

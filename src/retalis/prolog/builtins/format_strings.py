@@ -8,7 +8,7 @@ end if it has none.
 from itertools import count
 from typing import Callable, Dict, List, Optional, Tuple
 
-from ...foundation.cancellation import check_limits
+from ...foundation.limit_checks import check_limits
 from ..compiler.clause_nodes import NOT
 from ..machine.arithmetic import check_bit_product, evaluate
 from ..machine.errors import domain_error, error, existence_error, resource_error

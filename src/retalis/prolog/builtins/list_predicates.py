@@ -45,8 +45,8 @@ from typing import (
     TypeVar,
 )
 
-from ...foundation.cancellation import STEPS_PER_ROUND, check_limits, with_limit_checks
 from ...foundation.errors import TermTooLarge
+from ...foundation.limit_checks import STEPS_PER_ROUND, check_limits, with_limit_checks
 from ..database.goal_terms import add_arguments
 from ..machine.arithmetic import EVALUABLE, Number, add, evaluate
 from ..machine.errors import (

@@ -6,7 +6,7 @@ are ended by a guard on the stack of choice points, so that an exception restore
 
 from typing import Any, Callable, Dict, List, Optional, Union
 
-from ...foundation.cancellation import check_limits
+from ...foundation.limit_checks import check_limits
 from ..machine.arithmetic import evaluate
 from ..machine.errors import (
     domain_error,

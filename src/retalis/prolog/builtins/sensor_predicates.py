@@ -14,8 +14,8 @@ from math import isfinite
 from typing import Any, Dict, Iterator, List, NamedTuple, Optional, Tuple
 from weakref import ref
 
-from ...foundation.cancellation import check_limits
 from ...foundation.errors import MessageError
+from ...foundation.limit_checks import check_limits
 from ..machine.errors import (
     CONTEXT,
     PrologError,

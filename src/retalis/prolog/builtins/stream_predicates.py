@@ -6,8 +6,8 @@ themselves are in `text_streams`.
 
 from typing import Callable, List, Optional
 
-from ...foundation.cancellation import check_limits
 from ...foundation.errors import SyntaxFault
+from ...foundation.limit_checks import check_limits
 from ..machine.errors import (
     domain_error,
     instantiation_error,

@@ -8,7 +8,7 @@ the goal's limits before the arguments are created. The module also has generate
 from typing import Dict, Optional, Sequence
 from zlib import crc32
 
-from ...foundation.cancellation import STEPS_PER_ROUND, check_limits, with_limit_checks
+from ...foundation.limit_checks import STEPS_PER_ROUND, check_limits, with_limit_checks
 from ..machine.arithmetic import evaluate
 from ..machine.errors import domain_error, instantiation_error, permission_error, resource_error, type_error
 from ..machine.machine import LAST

@@ -11,8 +11,8 @@ check for suspended goals. A call that depends on an unbound variable raises an 
 from typing import Any, Callable, Dict, List, Optional, Tuple
 
 from ...foundation import codegen
-from ...foundation.cancellation import STEPS_PER_ROUND, check_limits, with_limit_checks
 from ...foundation.errors import TermTooLarge
+from ...foundation.limit_checks import STEPS_PER_ROUND, check_limits, with_limit_checks
 from ..compiler.clause_nodes import COMPARISONS, ORDERS
 from ..machine.arithmetic import evaluate, evaluate_exact, integer_root, without_instant
 from ..machine.errors import (

@@ -7,8 +7,8 @@ far.
 
 from typing import TYPE_CHECKING, Any, Callable, List, Optional, Sequence
 
-from ...foundation.cancellation import check_limits, in_checked_slices, with_limit_checks
 from ...foundation.errors import SyntaxFault
+from ...foundation.limit_checks import check_limits, in_checked_slices, with_limit_checks
 from ..machine.arithmetic import Number
 from ..machine.errors import (
     ERROR,

@@ -2,8 +2,8 @@
 
 from typing import Any, Optional, Tuple
 
-from ...foundation.cancellation import STEPS_PER_ROUND, check_limits
 from ...foundation.errors import TermTooLarge
+from ...foundation.limit_checks import STEPS_PER_ROUND, check_limits
 from ..compiler.clause_nodes import ARROW, BAR, CALL, NOT, SEMICOLON, SOFT_ARROW
 from ..machine.errors import instantiation_error, type_error
 from ..terms.term_traversal import CYCLE_CHECK_ROUND, WALK_ROUNDS, require_acyclic

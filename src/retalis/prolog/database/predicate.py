@@ -13,7 +13,7 @@ marked with the generation of their removal and dropped later. Lists that runnin
 from itertools import islice
 from typing import TYPE_CHECKING, Any, Callable, Dict, Hashable, Iterator, List, Optional, Tuple
 
-from ...foundation.cancellation import check_limits
+from ...foundation.limit_checks import check_limits
 from ..compiler.clause_nodes import FunctionalModes, PredicateResolver
 from ..compiler.predicate_code import ClauseParts, PredicateGenerator, fact_search
 from ..machine.errors import PrologError

@@ -19,8 +19,8 @@ import time
 from struct import pack, unpack
 from typing import Any, Callable, Dict, List, Tuple, TypeVar, Union
 
-from ...foundation.cancellation import check_limits
 from ...foundation.errors import TermTooLarge, UsageError
+from ...foundation.limit_checks import check_limits
 from ..terms import timestamps
 from ..terms.term_traversal import CYCLE_CHECK_STEP, MAX_STEPS, require_acyclic
 from ..terms.timestamps import SECOND

@@ -23,8 +23,8 @@ within a run, without a nested loop.
 from sys import getrefcount
 from typing import Any, Callable, Generator, List, NamedTuple, Optional, Protocol, Tuple
 
-from ...foundation.cancellation import set_limit_check
 from ...foundation.errors import RetalisError, TermTooLarge
+from ...foundation.limit_checks import set_limit_check
 from ..terms.term_traversal import copy
 from ..terms.types import Frame, Functor, Step, Term, Trail, Values, Var
 from ..terms.unification import undo, unify

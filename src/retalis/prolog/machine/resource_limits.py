@@ -45,10 +45,10 @@ from typing import (
 )
 
 from ...foundation.callbacks import CallbackList
-from ...foundation.cancellation import CURRENT_CHECK, register_budget
 from ...foundation.displayed_text import quote_shortened
 from ...foundation.errors import UsageError
 from ...foundation.interrupts import PENDING, are_deferred, is_interrupted, postpone, raise_pending
+from ...foundation.limit_checks import CURRENT_CHECK, register_check
 from ..terms.types import Term
 from .errors import PrologError, resource_error
 
@@ -224,7 +224,7 @@ _MEMORY_CHECK_INTERVAL_SECONDS = 0.005
 T = TypeVar("T")
 
 LimitCheck = Optional[Callable[[int, int], None]]
-"""The function that long steps call to check limits; see `foundation.cancellation`."""
+"""The function that long steps call to check limits; see `foundation.limit_checks`."""
 
 
 Meter = Callable[[int], bool]
@@ -315,7 +315,7 @@ class Budget:
         self._entry: object = None  # the executor's entry at the first use
         self.reset()
         if executor is not None:
-            register_budget(self)
+            register_check(self._check_own_goal)
 
     def set_limits(self, limits: Limits) -> None:
         """Set the limits of each entry."""
@@ -334,17 +334,17 @@ class Budget:
         """True while the executor processes an entry."""
         return self.executor is not None and self.executor.thread is not None
 
-    @property
-    def runs_here(self) -> bool:
-        """True while this thread runs a goal of the executor's entry."""
-        return self.goal is not None and self.executor is not None and self.executor.thread == get_ident()
+    def _check_own_goal(self, work: int, size: int) -> None:
+        """Check the limits if this thread runs a goal of the executor's entry; see `check_limits`."""
+        if self.goal is not None and self.executor is not None and self.executor.thread == get_ident():
+            self.check_limits(work, size)
 
     # Entries
 
     def enter(self) -> "Union[LimitCheck, _NestedRun]":
         """Start a run with limits; return the value that `leave` needs at its end.
 
-        Long steps check the limits as well; see `foundation.cancellation`. A nested run is part of the outer one.
+        Long steps check the limits as well; see `foundation.limit_checks`. A nested run is part of the outer one.
         """
         if self.running:
             return _NESTED_RUN

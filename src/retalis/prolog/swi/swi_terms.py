@@ -12,9 +12,9 @@ from ctypes import byref, c_double, c_int, c_int64, c_size_t, c_void_p, string_a
 from typing import Any, Callable, Dict, List, Optional, Tuple
 
 from ...foundation.bounded_caches import Cache
-from ...foundation.cancellation import STEPS_PER_ROUND, check_limits
 from ...foundation.displayed_text import shorten
 from ...foundation.errors import TermTooLarge
+from ...foundation.limit_checks import STEPS_PER_ROUND, check_limits
 from ..machine.errors import representation_error, resource_error
 from ..syntax.literals import integer
 from ..terms.list_terms import make_list

@@ -15,7 +15,7 @@ from decimal import MAX_EMAX, MAX_PREC, Decimal, Inexact, localcontext
 from typing import Callable, Dict, Match, Optional, Pattern
 
 from ...foundation.bounded_caches import TextCache
-from ...foundation.cancellation import check_limits
+from ...foundation.limit_checks import check_limits
 
 _UNQUOTED_NAME = re.compile(r"[^\W\d_]\w*\Z|[-+*/\\^<>=~:.?@#&$]+\Z|\[\]\Z|\{\}\Z|[!;]\Z")
 """Names that need no quotes: words, symbol characters, and solo atoms."""

@@ -19,8 +19,8 @@ from ...foundation.similar_names import did_you_mean
 from ..terms.types import Term, Var, atom, functor
 from . import parser_stack
 from .literals import atom_text
+from .named_slots import MessageSlot, MessageTypes, ParsedMessage, integers_to_floats
 from .parser_stack import LIST, SLOTS, OpenBracket, OperatorTable, ParserStack, ParserState
-from .slot_defaults import MessageSlot, MessageTypes, ParsedMessage, integers_to_floats
 from .tokenizer import NAME, QUOTED, VARIABLE, token_description
 
 _MAX_SUGGESTED_TYPES = 3
@@ -292,7 +292,7 @@ class NamedSlotParser(ParserStack):
         for number, slot in enumerate(slots, 1):
             value, offset = values.get(number, (None, start))
             if value is None:
-                # `slot_defaults.bind_defaults` binds the variable if the message is in a constructed part of the
+                # `named_slots.bind_defaults` binds the variable if the message is in a constructed part of the
                 # clause, which is known when the whole clause has been read.
                 value = Var()
                 default_values[value] = slot.default

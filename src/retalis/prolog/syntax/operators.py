@@ -23,7 +23,7 @@ from ...foundation.errors import UsageError
 from ..terms.types import Functor, functor
 
 if TYPE_CHECKING:
-    from .slot_defaults import MessageTypes
+    from .named_slots import MessageTypes
 
 
 class Operator(NamedTuple):

@@ -35,7 +35,7 @@ from .tokenizer import (
 )
 
 if TYPE_CHECKING:
-    from .slot_defaults import ParsedMessage
+    from .named_slots import ParsedMessage
 
 _MAX_PRIORITY = 1200
 """Highest priority of operators, and so of terms."""

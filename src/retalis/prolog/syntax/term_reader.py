@@ -26,10 +26,10 @@ from ..terms.types import FALSE, TRUE, Term, Var, atom, functor
 from . import parser_stack
 from .literals import quote_end, unclosed_quote_end
 from .named_slot_parser import NamedSlotParser
+from .named_slots import bind_defaults
 from .operators import DECLARING, EVENT_SYNTAX, Operators
 from .parser_stack import ARGUMENTS, GROUP, LABEL, LIST, OpenBracket, starts_line
 from .rule_detection import NO_RULES, detect_rules
-from .slot_defaults import bind_defaults
 from .tokenizer import (
     END,
     NAME,

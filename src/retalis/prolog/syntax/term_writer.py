@@ -23,8 +23,8 @@ from typing import (
     Union,
 )
 
-from ...foundation.cancellation import STEPS_PER_ROUND, check_limits
 from ...foundation.errors import RetalisError, TermTooLarge
+from ...foundation.limit_checks import STEPS_PER_ROUND, check_limits
 from ..terms.term_traversal import is_ground, resolve, term_key, variables
 from ..terms.types import (
     CONS,
@@ -41,14 +41,14 @@ from ..terms.types import (
     serial,
 )
 from .literals import atom_text, float_text, integer_text, quote
-from .operators import Operator, Operators, standard_operators
-from .slot_defaults import (
+from .named_slots import (
     MessageNotation,
     MessageSlot,
     compound_subterms,
     constructed_parts,
     floats_to_integers,
 )
+from .operators import Operator, Operators, standard_operators
 
 _CURLY_TERM = functor("{}", 1)
 _VAR_FUNCTOR = functor("$VAR", 1)

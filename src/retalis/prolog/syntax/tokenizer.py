@@ -14,8 +14,8 @@ import unicodedata
 from bisect import bisect_right
 from typing import Any, Callable, Dict, Iterator, List, Match, NamedTuple, Optional, Tuple
 
-from ...foundation.cancellation import STEPS_PER_ROUND, check_limits
 from ...foundation.errors import SyntaxFault
+from ...foundation.limit_checks import STEPS_PER_ROUND, check_limits
 from ...foundation.source_places import Place, place_in_line
 from ..terms.list_terms import make_list
 from ..terms.types import String, Term, atom

@@ -42,7 +42,7 @@ from ..syntax.operators import Operators
 from ..syntax.term_writer import named_message_portray, write_term
 from ..terms.term_traversal import copy
 from ..terms.types import COLON, CompoundTerm, Functor, Term, Var, deref, functor
-from .system_predicates import PredicateTable
+from .predicate_resolution import PredicateTable
 from .undefined_procedure_hints import find_similar
 
 if TYPE_CHECKING:

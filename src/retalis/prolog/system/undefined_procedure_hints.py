@@ -17,7 +17,7 @@ from ..terms.types import FALSE, Atom, CompoundTerm, Frame, Functor, Trail, atom
 from ..terms.unification import undo, unify
 
 if TYPE_CHECKING:
-    from .system_predicates import PredicateTable
+    from .predicate_resolution import PredicateTable
 
 _MAX_COMPARED_CHARACTERS = 200
 """Characters of a name that are compared with other names; the comparison is quadratic."""

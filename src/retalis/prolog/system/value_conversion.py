@@ -22,8 +22,8 @@ from typing import (
     get_origin,
 )
 
-from ...foundation.cancellation import STEPS_PER_ROUND, check_limits
 from ...foundation.errors import TermTooLarge, UsageError
+from ...foundation.limit_checks import STEPS_PER_ROUND, check_limits
 from ..builtins.argument_checks import array_of
 from ..machine.errors import instantiation_error, type_error
 from ..syntax.term_writer import writeq

@@ -2,8 +2,8 @@
 
 from typing import Iterable, Iterator, List, Optional, Tuple
 
-from ...foundation.cancellation import STEPS_PER_ROUND, check_limits
 from ...foundation.errors import TermTooLarge
+from ...foundation.limit_checks import STEPS_PER_ROUND, check_limits
 from .term_traversal import CYCLE_CHECK_ROUND, WALK_ROUNDS, require_acyclic
 from .types import COMMA, CONS, NIL, TRUE, Term, deref
 

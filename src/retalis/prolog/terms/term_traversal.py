@@ -16,8 +16,8 @@ used by shared variables of joins, by tables, and by the detection of duplicate 
 
 from typing import Any, Callable, Dict, Hashable, List, Optional, Sequence, Set, Tuple, overload
 
-from ...foundation.cancellation import STEPS_PER_ROUND, check_limits
 from ...foundation.errors import TermTooLarge
+from ...foundation.limit_checks import STEPS_PER_ROUND, check_limits
 from .types import Atom, CompoundTerm, Lazy, String, Term, Var, deref
 
 MAX_STEPS = 5_000_000

@@ -15,8 +15,8 @@ atoms, compound terms by arity, name and arguments.
 
 from typing import Any, Callable, List, Optional
 
-from ...foundation.cancellation import STEPS_PER_ROUND, check_limits
 from ...foundation.errors import TermTooLarge
+from ...foundation.limit_checks import STEPS_PER_ROUND, check_limits
 from .term_traversal import (
     CYCLE_CHECK_ROUND,
     CYCLE_CHECK_STEP,

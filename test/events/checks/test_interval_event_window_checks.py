@@ -8,7 +8,7 @@ from asserting_accessors import place_of
 
 from retalis import Definitions, Engine
 from retalis.engine.program_check import check_program
-from retalis.events.checks.long_event_window_checks import find_windows_of_long_events
+from retalis.events.checks.interval_event_window_checks import find_windows_of_long_events
 from retalis.events.checks.program_model import ProgramModel
 from retalis.events.program.topic_configuration import Topics
 

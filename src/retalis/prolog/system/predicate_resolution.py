@@ -12,9 +12,9 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any, Callable, Dict, Iterable, Iterator, Optional, Tuple, Union
 
-from ...foundation.cancellation import accept_all_work, set_limit_check
 from ...foundation.codegen import shared_function
 from ...foundation.errors import SyntaxFault
+from ...foundation.limit_checks import accept_all_work, set_limit_check
 
 # Imported for the predicates that they register in `ENTRIES`.
 from ..builtins import (  # noqa: F401
@@ -26,10 +26,10 @@ from ..builtins import (  # noqa: F401
     file_names,
     flags_operators_modules,
     format_strings,
-    goal_wrappers,
     grammar_and_ssu_rules,
     list_predicates,
     listing_and_messages,
+    meta_call_predicates,
     output_predicates,
     pose_predicates,
     sensor_predicates,

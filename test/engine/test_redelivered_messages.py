@@ -5,7 +5,7 @@ from typing import Any, List
 import pytest
 
 from retalis import Engine, StreamClock, UsageError
-from retalis.engine.processed_messages import (
+from retalis.engine.redelivered_messages import (
     MAX_MESSAGES,
     MAX_TOPICS,
     IdentifiedMessage,

@@ -7,11 +7,11 @@ from typing import Any, Iterator, List
 import pytest
 from checked_threads import CheckedThread
 
-from retalis.foundation.cancellation import (
+from retalis.foundation.limit_checks import (
     STEPS_PER_ROUND,
     check_limits,
     in_checked_slices,
-    register_budget,
+    register_check,
     set_limit_check,
     with_limit_checks,
 )
@@ -46,32 +46,30 @@ def test_few_items_are_not_checked(checks: Any) -> None:
     assert checks == []
 
 
-class RunningTestBudget:
-    """A budget whose goal runs in every thread."""
-
-    runs_here = True
+class WorkCounter:
+    """An owner of a check that counts the work of every thread."""
 
     def __init__(self) -> None:
         self.work = 0
 
-    def check_limits(self, work: int, size: int = 0) -> None:
+    def count(self, work: int, size: int) -> None:
         self.work += work
 
 
-def test_budgets_of_all_threads_are_checked() -> None:
-    budgets = [[RunningTestBudget() for _ in range(500)] for _ in range(4)]
-    barrier = Barrier(len(budgets))
+def test_checks_registered_by_all_threads_are_called() -> None:
+    counters = [[WorkCounter() for _ in range(500)] for _ in range(4)]
+    barrier = Barrier(len(counters))
 
     def register(number: int) -> None:
         barrier.wait(10)
-        for budget in budgets[number]:
-            register_budget(budget)
+        for counter in counters[number]:
+            register_check(counter.count)
 
     interval = sys.getswitchinterval()
     # Threads take turns so often that they meet within a registration.
     sys.setswitchinterval(1e-6)
     try:
-        threads = [CheckedThread(register, number) for number in range(len(budgets))]
+        threads = [CheckedThread(register, number) for number in range(len(counters))]
         for thread in threads:
             thread.start()
         for thread in threads:
@@ -79,4 +77,4 @@ def test_budgets_of_all_threads_are_checked() -> None:
     finally:
         sys.setswitchinterval(interval)
     check_limits(1)
-    assert {budget.work for group in budgets for budget in group} == {1}
+    assert {counter.work for group in counters for counter in group} == {1}

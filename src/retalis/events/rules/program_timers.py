@@ -1,4 +1,4 @@
-"""Timer service: the timers of goals ``timer/2``, once or periodic.
+"""Timers of a program, which goals ``timer/2`` set: once or periodic.
 
 Each timer is an alarm of the engine's clock, as the per-key timers of Flink's timer service are entries of one queue.
 A jump of time, as at the start of a bag, would fire a periodic timer millions of times; beyond

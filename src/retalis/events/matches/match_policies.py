@@ -1,4 +1,4 @@
-"""Options of a network: the consumption policy, and what is skipped after a match.
+"""Policies of matching, and further options of a network: consumption, and what is skipped after a match.
 
 Flags set them for all rules, and the properties of a label for the rules with this label.
 """

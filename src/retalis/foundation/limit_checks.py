@@ -1,4 +1,4 @@
-"""Cooperative cancellation of long work within one inference of a Prolog machine.
+"""Checks of limits within one inference of a Prolog machine, which end long work (cooperative cancellation).
 
 A machine checks the limits of a goal (time, inferences, memory) between inferences. Walking over a large term or
 searching a long text is one inference, so such code has to check the limits itself: it calls `check_limits` after
@@ -6,13 +6,13 @@ each round of steps (`STEPS_PER_ROUND`), and before each large allocation with i
 raises an error if the goal that runs in this thread must end.
 
 The check finds the goal in one of two ways. A machine that runs in the current thread registers a function with
-`set_limit_check`; budgets of machines that know which thread they run in are registered once with `register_budget`.
+`set_limit_check`; a budget that knows which thread its machine runs in registers a method once with `register_check`.
 """
 
 from itertools import chain
 from threading import local
-from typing import Callable, Iterable, Iterator, Optional, Protocol, Sequence, Set, TypeVar, overload
-from weakref import ref
+from typing import Callable, Iterable, Iterator, Optional, Sequence, Set, TypeVar, overload
+from weakref import WeakMethod
 
 STEPS_PER_ROUND = (None,) * 1024
 """Steps of one round, the work between two calls of `check_limits`. A step is as small as an inference."""
@@ -33,24 +33,13 @@ class ThreadLimitCheck(local):
 CURRENT_CHECK = ThreadLimitCheck()
 
 
-class RunningBudget(Protocol):
-    """A budget of a machine that knows in which thread it runs."""
-
-    @property
-    def runs_here(self) -> bool:
-        """True while this thread runs a goal of the budget."""
-
-    def check_limits(self, work: int, size: int = 0) -> None:
-        """Count work and raise an error if a limit is exceeded, with ``size`` bytes about to be allocated."""
+_GLOBAL_CHECKS: "Set[WeakMethod[LimitCheck]]" = set()
+"""Weak references to the checks that `check_limits` calls if no function is registered for the thread."""
 
 
-_BUDGETS: "Set[ref[RunningBudget]]" = set()
-"""Weak references to the budgets that `check_limits` checks if no function is registered for the thread."""
-
-
-def register_budget(budget: RunningBudget) -> None:
-    """Register a budget that `check_limits` checks whenever a goal of it runs in the current thread."""
-    _BUDGETS.add(ref(budget, _BUDGETS.discard))
+def register_check(check: LimitCheck) -> None:
+    """Register a method that `check_limits` calls in all threads; it has to ignore work that is not its own."""
+    _GLOBAL_CHECKS.add(WeakMethod(check, _GLOBAL_CHECKS.discard))
 
 
 def accept_all_work(work: int, size: int) -> None:
@@ -64,16 +53,16 @@ def check_limits(work: int = len(STEPS_PER_ROUND), size: int = 0) -> None:
         work: number of steps since the last call, which are counted as inferences.
         size: bytes of the next allocation.
     """
-    # A registered function takes precedence over the budgets.
+    # The function of the thread takes precedence over the checks for all threads.
     check = CURRENT_CHECK.check
     if check is not None:
         check(work, size)
         return
-    # Copied in one step of the interpreter, because other threads register budgets meanwhile.
-    for reference in _BUDGETS.copy():
-        budget = reference()
-        if budget is not None and budget.runs_here:
-            budget.check_limits(work, size)
+    # Copied in one step of the interpreter, because other threads register checks meanwhile.
+    for reference in _GLOBAL_CHECKS.copy():
+        check = reference()
+        if check is not None:
+            check(work, size)
 
 
 @overload

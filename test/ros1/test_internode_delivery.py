@@ -9,8 +9,8 @@ import pytest
 rospy = pytest.importorskip("rospy", reason="ROS is not installed")
 
 from retalis import Reports, RuleError  # noqa: E402
-from retalis.ros1 import late_peer_buffer  # noqa: E402
-from retalis.ros1.late_peer_buffer import ENGINE, INTERFACE, MAX_IDENTIFICATION_ATTEMPTS, LatePeerBuffer  # noqa: E402
+from retalis.ros1 import internode_delivery  # noqa: E402
+from retalis.ros1.internode_delivery import ENGINE, INTERFACE, MAX_IDENTIFICATION_ATTEMPTS, LatePeerBuffer  # noqa: E402
 
 
 class Link:
@@ -155,7 +155,7 @@ def test_full_buffer_drops_and_counts_oldest_texts(topic_writer: Any, make_buffe
 def test_size_of_buffered_texts_is_limited(
     make_buffer: Any, reports: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(late_peer_buffer, "MAX_BUFFERED_BYTES", 10)
+    monkeypatch.setattr(internode_delivery, "MAX_BUFFERED_BYTES", 10)
     buffer = make_buffer()
     for _ in range(2):
         buffer.send(b"12345", 1)
@@ -167,7 +167,7 @@ def test_size_of_buffered_texts_is_limited(
 def test_number_of_latched_messages_is_limited(
     make_buffer: Any, reports: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(late_peer_buffer, "MAX_LATCHED_MESSAGES", 2)
+    monkeypatch.setattr(internode_delivery, "MAX_LATCHED_MESSAGES", 2)
     buffer = make_buffer()
     for key in ("a", "b", "b", "c"):
         buffer.latch(key, key.encode, 1)
@@ -179,7 +179,7 @@ def test_number_of_latched_messages_is_limited(
 def test_size_of_latched_messages_is_limited(
     make_buffer: Any, reports: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(late_peer_buffer, "MAX_BUFFERED_BYTES", 10)
+    monkeypatch.setattr(internode_delivery, "MAX_BUFFERED_BYTES", 10)
     buffer = make_buffer()
     for key, size in (("a", 1), ("b", 1), ("c", 9)):
         buffer.latch(key, key.encode, size)
@@ -275,13 +275,13 @@ def test_error_of_latched_message_is_reported(topic_writer: Any, make_buffer: An
 def test_closed_connection_is_detected() -> None:
     own_socket, other = socket.socketpair()
     link = SimpleNamespace(_connection=SimpleNamespace(socket=own_socket))
-    assert not late_peer_buffer.has_ended(link)
+    assert not internode_delivery.has_ended(link)
     other.close()
-    assert late_peer_buffer.has_ended(link)
+    assert internode_delivery.has_ended(link)
     own_socket.close()
-    assert late_peer_buffer.has_ended(link)
-    assert late_peer_buffer.has_ended(SimpleNamespace(socket=None, done=True))
-    assert not late_peer_buffer.has_ended(SimpleNamespace())
+    assert internode_delivery.has_ended(link)
+    assert internode_delivery.has_ended(SimpleNamespace(socket=None, done=True))
+    assert not internode_delivery.has_ended(SimpleNamespace())
 
 
 def test_peer_gets_preamble_first(topic_writer: Any, reports: Any) -> None:

@@ -9,7 +9,7 @@ the construct's choice point is the newest one, the goal has no more solutions.
 from time import monotonic
 from typing import Dict, Hashable, Optional, Set
 
-from ...foundation.cancellation import set_limit_check
+from ...foundation.limit_checks import set_limit_check
 from ..compiler.clause_nodes import ARROW, CALL, NOT, SEMICOLON
 from ..database.goal_terms import add_arguments, check_body
 from ..machine.arithmetic import evaluate

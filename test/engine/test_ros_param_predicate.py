@@ -5,7 +5,7 @@ from typing import Any, Dict
 import pytest
 
 from retalis import Engine, Reports, RetalisError, Settings
-from retalis.engine.ros_parameters import no_parameters
+from retalis.engine.ros_param_predicate import no_parameters
 
 NESTED: Any = []
 for _ in range(60):

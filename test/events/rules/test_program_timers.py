@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from recorded_calls import recording
 
 from retalis import Engine, ProgramErrors, PrologError, RetalisError, StreamClock
-from retalis.events.rules import timer_service
+from retalis.events.rules import program_timers
 from retalis.prolog.terms.timestamps import SECOND
 from retalis.prolog.terms.unification import may_unify
 
@@ -120,7 +120,7 @@ def test_cancel_removes_unifying_timers() -> None:
 
 def test_cancel_compares_candidates_only(monkeypatch: pytest.MonkeyPatch) -> None:
     compared: List[Any] = []
-    monkeypatch.setattr(timer_service, "may_unify", recording(compared, may_unify))
+    monkeypatch.setattr(program_timers, "may_unify", recording(compared, may_unify))
     engine = load_engine("\n".join(f"timer(a({number}, b), after(9))" for number in range(50)))
     engine.load(goals="timer(a(_, c), after(9))\ntimer(a(_, b), after(9))")
     assert engine.query("cancel_timer(a(7, b), N)") == [{"N": 2}]
@@ -182,7 +182,7 @@ def test_timers_set_by_deadline_count_from_its_instant(rule: str, instant: int) 
 
 
 def test_recursive_timer_fires_boundedly_after_jump(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(timer_service, "MAX_FIRINGS_PER_JUMP", 100)
+    monkeypatch.setattr(program_timers, "MAX_FIRINGS_PER_JUMP", 100)
     engine = load_engine(rules=":- timer(t, after(1)).\nnull do timer(t, after(1)) <- t.")
     engine.feed(0.5)
     assert [instant for term, instant in engine.feed(50) if term == "t"] == [
@@ -205,7 +205,7 @@ def test_timer_in_the_past_is_reported(caplog: pytest.LogCaptureFixture) -> None
 def test_periodic_timer_fires_boundedly_after_jump(
     caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(timer_service, "MAX_FIRINGS_PER_JUMP", 100)
+    monkeypatch.setattr(program_timers, "MAX_FIRINGS_PER_JUMP", 100)
     engine = load_engine("timer(t, every(1))")
     engine.feed(0.5)
     assert len(engine.feed(100.5)) == 101
@@ -254,7 +254,7 @@ def test_cancelled_timers_leave_clock() -> None:
 
 
 def test_number_of_timers_is_limited(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(timer_service, "MAX_TIMERS", 100)
+    monkeypatch.setattr(program_timers, "MAX_TIMERS", 100)
     engine = load_engine()
     assert engine.call("forall(between(1, 100, N), timer(a(N), after(N)))")
     with pytest.raises(RetalisError, match="timers"):
