@@ -145,11 +145,7 @@ _FileStates = Tuple[Tuple[str, int, int], ...]
 
 
 class LoadedFiles:
-    """The files and programs that were loaded into an engine, with reloading.
-
-    Args:
-        engine: the engine.
-    """
+    """The files and programs that were loaded into an engine, with reloading."""
 
     def __init__(self, engine: Engine):
         self._engine = engine

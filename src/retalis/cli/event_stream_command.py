@@ -124,13 +124,7 @@ def _parse_event_line(reader: EventReader, text: str, place: Place) -> Optional[
 
 
 def _is_unfinished(terms: Sequence[StreamItem], text: str, line_number: int) -> bool:
-    """Return whether the last term may continue in the next line.
-
-    Args:
-        terms: terms and errors of the text.
-        text: lines of the stream.
-        line_number: number of the last line.
-    """
+    """Return whether the last term may continue in the next line."""
     for term in terms:
         if isinstance(term, SyntaxFault) and term.message.startswith("this comment is never closed"):
             return True
@@ -142,11 +136,7 @@ def _is_unfinished(terms: Sequence[StreamItem], text: str, line_number: int) -> 
 
 
 def has_unread_input(descriptor: int = 0) -> bool:
-    """Return whether a pipe or file has unread data, without blocking.
-
-    Args:
-        descriptor: file descriptor of the pipe or file.
-    """
+    """Return whether a pipe or file has unread data, without blocking."""
     try:
         import fcntl  # noqa: PLC0415 (not on Windows)
         import termios  # noqa: PLC0415

@@ -142,10 +142,6 @@ class ClientConnection(Protocol):
 
         This returns when a node that subscribes to the topic is connected.
 
-        Args:
-            topic: full name of the topic.
-            definition: type of the messages.
-
         Raises:
             UsageError: if no node subscribes to the topic, or the type cannot be published.
         """

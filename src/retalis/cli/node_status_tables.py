@@ -38,10 +38,6 @@ def format_list(record: PlainRecord, has_engine: bool = True) -> List[str]:
     subscribed topics
       topic
       /tf
-
-    Args:
-        record: the answer as a dictionary.
-        has_engine: whether the node has an engine.
     """
     summary = [["node", str(record["node"])], ["time", _format_value(record.get("now"))]]
     if has_engine:

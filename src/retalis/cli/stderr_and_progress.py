@@ -34,11 +34,7 @@ def paint(text: str, kind: str, file: IO[str]) -> str:
 
 
 class StderrReporter(logging.Handler):
-    """Printer of errors and warnings to standard error, with a count of the errors.
-
-    Attributes:
-        errors: number of errors.
-    """
+    """Printer of errors and warnings to standard error, with a count of the errors."""
 
     def __init__(self) -> None:
         super().__init__()

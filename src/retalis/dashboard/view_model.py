@@ -108,9 +108,6 @@ class RecentEvents:
     A listener for all events disables fused actions and early filters (`ListenerIndex.fused_actions`,
     `PushdownFilter`), so it is registered only on request. The work for each event is bounded, and no method waits
     for the engine.
-
-    Args:
-        engine: the engine to observe.
     """
 
     def __init__(self, engine: Engine):
@@ -351,9 +348,6 @@ class Snapshot(NamedTuple):
 
 class Snapshots:
     """Successive snapshots of a program.
-
-    Args:
-        source: the program.
 
     Attributes:
         events: the recent events.

@@ -213,12 +213,7 @@ def _has_element(text: str) -> bool:
 
 
 def find_xml_context(text: str, offset: int) -> Optional[XmlContext]:
-    """Return the context of an offset in an XML file; None in a comment and outside of tags.
-
-    Args:
-        text: text of the file.
-        offset: the offset.
-    """
+    """Return the context of an offset in an XML file; None in a comment and outside of tags."""
     prefix = text[:offset]
     start = prefix.rfind("<")
     if start < 0 or prefix.rfind("<!--") > prefix.rfind("-->"):

@@ -205,11 +205,7 @@ def _read_rules(text: str, source: str) -> _Reading:
 
 
 class _LineWriter:
-    """Writer of the lines of a file, with the comments between its clauses.
-
-    Args:
-        text: text of the file.
-    """
+    """Writer of the lines of a file, with the comments between its clauses."""
 
     def __init__(self, text: str):
         self._text = text

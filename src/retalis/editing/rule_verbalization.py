@@ -64,14 +64,7 @@ _Operands = Dict[str, Term]
 
 
 class _TableRow(NamedTuple):
-    """A row of a table of notations.
-
-    Attributes:
-        notation: its notation as a term.
-        letters: the letters of the variables of the notation.
-        words: its words.
-        text: the text of its notation.
-    """
+    """A row of a table of notations."""
 
     notation: Term
     letters: Dict[Var, str]

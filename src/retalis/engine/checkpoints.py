@@ -736,12 +736,7 @@ def _encode_batches(number: int, unwritten: MemoryRecords) -> Iterator[RecordBat
 
 
 def list_program_files(folder: Path, loaded: Sequence[str]) -> List[str]:
-    """Return the paths of the files that a program is read from.
-
-    Args:
-        folder: folder of the program.
-        loaded: paths of the event files that it has loaded.
-    """
+    """Return the paths of the files that a program is read from."""
     fixed_files = [str(folder.absolute() / name) for name in (GOALS, TOPICS)]
     return [*fixed_files, *(path for path in sorted(loaded) if path not in fixed_files)]
 

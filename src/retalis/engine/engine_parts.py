@@ -55,13 +55,7 @@ class UserCallbacks:
         self.on_output: List[Callable[[Term, str, Term], object]] = []
 
     def call(self, name: str, callback: Callable[..., object], *arguments: object) -> None:
-        """Call a callback.
-
-        Args:
-            name: its name in errors.
-            callback: the callback.
-            *arguments: its arguments.
-        """
+        """Call a callback."""
         outer_callback = self._executor.begin_callback(name)
         try:
             callback(*arguments)

@@ -511,9 +511,6 @@ def restore_records(instance: MemoryInstance, batches: Sequence[DecodedRecords])
 def create_clock(run_section: object) -> Optional[StreamClock]:
     """Return the clock with which an engine must be created to restore its state.
 
-    Args:
-        run_section: section ``run`` of the state, decoded.
-
     Returns:
         A `StreamClock`, or None for the default clock of an engine, which follows the timestamps of events.
     """

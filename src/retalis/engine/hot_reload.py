@@ -241,14 +241,7 @@ def create_trial_settings(settings: Settings) -> Settings:
 def reload_folder(
     loader: ProgramLoader, executor: SerialExecutor, folder: Path, create_trial: Callable[[], ProgramLoader]
 ) -> List[str]:
-    """Load a program's folder again; see `Engine.reload`.
-
-    Args:
-        loader: loader of the running engine.
-        executor: executor of the running engine.
-        folder: folder of the program.
-        create_trial: returns the loader of a trial engine.
-    """
+    """Load a program's folder again; see `Engine.reload`."""
     program, deployments, key = loader.program, loader.deployments, resolve_path(folder)
     # The executor would run the reload inside the goal that requests it, whose own clauses would be removed.
     if executor.thread == get_ident():

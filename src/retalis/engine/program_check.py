@@ -176,12 +176,7 @@ def explain_missing_events(
 
 
 def find_absent_events(engine: Engine, occurred: Collection[Functor]) -> Iterator[RuleError]:
-    """Yield the awaited events that did not occur in a stream, if it had an event with a similar name.
-
-    Args:
-        engine: engine that has processed the stream.
-        occurred: functors of the events that occurred.
-    """
+    """Yield the awaited events that did not occur in a stream, if it had an event with a similar name."""
     program = ProgramModel(engine.program.rules, engine.program.knowledge, Definitions(), Topics())
     producers = EventProducers(program)
     awaited = {subterm.key: subterm for subterm, _ in program.patterns() if subterm.key is not None}

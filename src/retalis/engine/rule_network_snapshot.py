@@ -257,12 +257,7 @@ class _RulesAndNodes(ExternalObjects):
 
 
 class NetworkState(StateOwner):
-    """State of the rules and of all that belongs to the processing of events, besides memories.
-
-    Args:
-        rules: the rule base.
-        knowledge: the knowledge base.
-    """
+    """State of the rules and of all that belongs to the processing of events, besides memories."""
 
     STATE = StateFields(
         part_list(

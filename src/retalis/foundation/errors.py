@@ -109,11 +109,7 @@ class UnknownMessage(SyntaxFault):
 
 
 class UndefinedPredicate(RuleError):
-    """A warning about a call of a predicate that has no definition yet; another file may define it.
-
-    Attributes:
-        call: the call.
-    """
+    """A warning about a call of a predicate that has no definition yet; another file may define it."""
 
     def __init__(self, message: str, place: Optional[Place], call: object):
         super().__init__(message, place)

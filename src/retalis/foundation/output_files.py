@@ -155,10 +155,6 @@ class GuardedOutput:
 def open_output(target: Union[str, Path], keep_on_interrupt: bool = False) -> Iterator[IO[str]]:
     """Open a text file, which replaces the target when the block ends.
 
-    Args:
-        target: path of the file.
-        keep_on_interrupt: see `replace_file`.
-
     Raises:
         OutputFailed: if the file cannot be written.
     """
@@ -188,10 +184,6 @@ def write_xml(target: Path, root: "Element", creates_folder: bool = False) -> No
 
 def write_text(target: Path, text: str) -> None:
     """Write a text, in place of an existing file; a missing folder of the file is created.
-
-    Args:
-        target: path of the file.
-        text: the text.
 
     Raises:
         UsageError: if the file cannot be written.

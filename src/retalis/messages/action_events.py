@@ -349,12 +349,7 @@ def _read_ros2_status(source: Definition) -> _Read:
 
 
 def _read_requests(source: Definition, get_slots: Callable[[Definition], _Read]) -> _Read:
-    """Return the reader of the events of a service that yields each request once, when the server receives it.
-
-    Args:
-        source: type of the events.
-        get_slots: returns the reader of requests.
-    """
+    """Return the reader of the events of a service that yields each request once, when the server receives it."""
     get_type = _make_getter(source, "info.event_type")
     get_requests, request = _make_list_getter(source, "request")
     read_request = get_slots(request)

@@ -512,9 +512,6 @@ class FrameDecoderGenerator(DecoderGenerator):
     """Generator of decoding functions for types that are numbers, then strings, then numbers.
 
     The last array of messages is assumed to have one element, as in nearly every ``tf2_msgs/TFMessage``.
-
-    Args:
-        watch: observes the stamps of the messages that are decoded.
     """
 
     def __init__(self, watch: Optional[StampWatch] = None) -> None:

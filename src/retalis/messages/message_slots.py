@@ -175,11 +175,6 @@ class SlotNames:
         If the definition is not known and `awaiting` is active, the value is an atom that equals no value of a
         message.
 
-        Args:
-            name: name of the messages.
-            constant: name of the constant.
-            place: where it is named.
-
         Raises:
             UsageError: if the message type is unknown, or has no such constant.
         """

@@ -18,12 +18,7 @@ log = logging.getLogger("retalis")
 
 
 class LogCounts(logging.Handler):
-    """Counts warnings and errors in the node's log, except those that `Reports` counts itself.
-
-    Attributes:
-        errors: the number of errors.
-        warnings: the number of warnings.
-    """
+    """Counts warnings and errors in the node's log, except those that `Reports` counts itself."""
 
     def __init__(self) -> None:
         super().__init__(logging.WARNING)

@@ -73,11 +73,7 @@ class OutputForwarding:
             self._forwarder.put(ForwardedEvent(start / 1e9, end / 1e9, text))
 
     def check_topics(self, topics: List[str]) -> List[RetalisError]:
-        """Return a warning for each topic of the parameter that no subscription of the loaded program has.
-
-        Args:
-            topics: topics of the subscriptions.
-        """
+        """Return a warning for each topic of the parameter that no subscription of the loaded program has."""
         # The next output of a topic shows again that there is a subscription.
         self._decisions.clear()
         self._unused_topics = self._find_unused(map(self._full_name, topics), self._patterns)

@@ -83,9 +83,6 @@ class ProgramHost:
         context: transport, parameters and what the parts share.
         texts: exchange of events and outputs as text.
         connect_interface: connects the node that offers the services for input topics; None if the host does.
-
-    Attributes:
-        engine: the engine.
     """
 
     def __init__(

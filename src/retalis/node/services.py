@@ -69,14 +69,7 @@ def quote_text(text: str) -> str:
 def offer_service(
     transport: Transport, name: str, service_type: str, handler: Callable[[Any], Response]
 ) -> None:
-    """Offer a service whose requests have a limited number of characters.
-
-    Args:
-        transport: the middleware.
-        name: name of the service.
-        service_type: type of the service.
-        handler: returns the response to a request.
-    """
+    """Offer a service whose requests have a limited number of characters."""
 
     def handle(request: Any) -> Response:
         size = sum(len(value) for value in _iterate_texts(request))
@@ -369,12 +362,7 @@ def parse_name(text: str, field: str) -> Term:
 
 
 class RuleServices:
-    """Services ``~add_rule`` and ``~delete_rule`` of node retalis.
-
-    Args:
-        transport: the middleware.
-        engine: engine of the node.
-    """
+    """Services ``~add_rule`` and ``~delete_rule`` of node retalis."""
 
     def __init__(self, transport: Transport, engine: Engine):
         self._engine = engine
@@ -537,12 +525,7 @@ ORIGINS_NOT_RECORDED = (
 
 
 class QueryServices:
-    """Services ``~query`` and ``~explain`` of node retalis.
-
-    Args:
-        transport: the middleware.
-        engine: engine of the node.
-    """
+    """Services ``~query`` and ``~explain`` of node retalis."""
 
     def __init__(self, transport: Transport, engine: Engine):
         self._engine = engine

@@ -45,9 +45,6 @@ class BagSubscription:
 class BagPublication:
     """An advertised topic; see `TopicPublication`.
 
-    Args:
-        definition: type of the messages.
-
     Attributes:
         definition: see above.
         sent: number of published messages.
@@ -162,9 +159,6 @@ class BagTransport:
 
     def connect(self, bag: Bag) -> Tuple[Set[str], List[RefusedConnection]]:
         """Connect the new subscriptions with a bag.
-
-        Args:
-            bag: the bag that `start` has started.
 
         Returns:
             Names of the bag's topics that must be read from now on, and the connections whose messages are dropped.

@@ -673,10 +673,6 @@ class RunRecorder:
     """Observer of a playback that reports events, outputs and waits as they occur, and the memories at the end.
 
     The wait of a query lasts from the message that triggers it to the message that it waits for, in bag time.
-
-    Args:
-        playback: the playback to observe.
-        write_record: called with each record.
     """
 
     def __init__(self, playback: Playback, write_record: Callable[[RunRecord], None]):

@@ -437,10 +437,6 @@ def _list_parts(folder_name: str, names: Iterable[str]) -> List[str]:
     """Return the files of a recording whose metadata is missing, in their order; an empty list if it is none.
 
     ``ros2 bag record`` names the files as their folder: ``NAME/NAME_0.mcap``, ``NAME/NAME_1.mcap``.
-
-    Args:
-        folder_name: name of the folder.
-        names: names of the files in the folder.
     """
     parts: Dict[int, str] = {}
     for name in names:

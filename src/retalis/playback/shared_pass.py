@@ -71,11 +71,7 @@ class SharedTerms:
 
 
 class _Portions:
-    """Messages of a bag in portions, which several playbacks read.
-
-    Args:
-        bag: the bag.
-    """
+    """Messages of a bag in portions, which several playbacks read."""
 
     def __init__(self, bag: Bag):
         self._bag = bag

@@ -129,9 +129,6 @@ class LatePeerBuffer:
         epoch: returns the current clock epoch, see `ClockEpochs`. Texts of an earlier epoch are meaningless to a peer
             that starts now, so they are discarded.
         greeting: returns the serialized message that a new peer receives first; empty by default.
-
-    Attributes:
-        peer: see above.
     """
 
     def __init__(

@@ -40,10 +40,6 @@ def run_node(name: str, create_node: Callable[[Parameters], object]) -> int:
     """Run a node until it is shut down or interrupted; return its exit status.
 
     The status is 1 if the node could not be constructed, and 0 if it was asked to end, at whatever moment.
-
-    Args:
-        name: default name of the node.
-        create_node: constructs the node from its parameters.
     """
 
     def run(shutdown: ExitStack) -> int:

@@ -195,11 +195,7 @@ class RclpyClient:
 
 
 class _SpinningNode:
-    """A node whose callbacks run in a thread.
-
-    Attributes:
-        node: the node.
-    """
+    """A node whose callbacks run in a thread."""
 
     def __init__(self, name: str, context: Context):
         self.node: Node = rclpy.create_node(

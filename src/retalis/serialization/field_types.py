@@ -399,10 +399,6 @@ def encode_instants(instants: Sequence[int]) -> Tuple[object, ...]:
 def decode_instants(value: object, expected_count: Optional[int] = None) -> List[int]:
     """Return instants from their columns, checked.
 
-    Args:
-        value: the columns.
-        expected_count: expected number of instants, if it is known.
-
     Raises:
         UsageError: if the columns are invalid.
     """
@@ -633,12 +629,7 @@ def stored_as(
 
 
 def compact_record_of(row_class: Type[Row], **fields: FieldType[Any]) -> FieldType[Row]:
-    """Return the type of named tuples that occur often; they are stored as sequences, and their fields do not change.
-
-    Args:
-        row_class: class of the records.
-        fields: type of each of its fields.
-    """
+    """Return the type of named tuples that occur often, stored as sequences; their fields do not change."""
     assert tuple(fields) == row_class._fields, row_class
     assert not any(content.encoder for content in fields.values()), row_class
     make: Callable[..., Row] = row_class

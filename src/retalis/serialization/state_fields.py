@@ -420,12 +420,7 @@ def _row_fields(row_class: Type[Row], contents: Mapping[str, FieldType[Any]]) ->
 
 
 def rows_of(row_class: Type[Row], **contents: FieldType[Any]) -> FieldType[List[Row]]:
-    """Return the type of tables: sequences of named tuples, stored in columns.
-
-    Args:
-        row_class: class of the rows.
-        contents: type of each of its fields.
-    """
+    """Return the type of tables: sequences of named tuples, stored in columns."""
     fields = _row_fields(row_class, contents)
     make: Callable[..., Row] = row_class
 
@@ -465,12 +460,7 @@ _TABLE = tuple_of(COUNT, ANYTHING)
 
 
 def record_of(row_class: Type[Row], **contents: FieldType[Any]) -> FieldType[Row]:
-    """Return the type of named tuples, stored as mappings from names to values.
-
-    Args:
-        row_class: class of the records.
-        contents: type of each of its fields.
-    """
+    """Return the type of named tuples, stored as mappings from names to values."""
     fields = _row_fields(row_class, contents)
     make: Callable[..., Row] = row_class
 

@@ -43,12 +43,7 @@ class Tolerance(NamedTuple):
 
 
 class SourceText(NamedTuple):
-    """A text of the program within a test file.
-
-    Attributes:
-        text: the text.
-        first_line: number of its first line in the file.
-    """
+    """A text of the program within a test file."""
 
     text: str
     first_line: int

@@ -62,12 +62,7 @@ _Reduction = Generator[Mutations, Optional[bool], Mutations]
 
 
 class BrokenExpectation(NamedTuple):
-    """Smallest mutations that break an expectation.
-
-    Attributes:
-        expectation: name of the expectation.
-        mutations: the mutations.
-    """
+    """Smallest mutations that break an expectation."""
 
     expectation: str
     mutations: Mutations
@@ -262,9 +257,6 @@ class _TryRunner:
         case: the case.
         definitions: known message types.
         jobs: maximum number of processes.
-
-    Attributes:
-        case: see above.
     """
 
     def __init__(self, case: Case, definitions: Definitions, jobs: int):

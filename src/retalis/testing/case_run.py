@@ -103,12 +103,7 @@ class CaseResult(NamedTuple):
 
 
 class ProgramUnderTest(NamedTuple):
-    """A program that was loaded for a case.
-
-    Attributes:
-        playback: the program, with its engine.
-        problems: errors and warnings of the loading.
-    """
+    """A program that was loaded for a case."""
 
     playback: Playback
     problems: "ProblemLog"
@@ -222,12 +217,7 @@ def _write_program(program: CaseProgram, stack: ExitStack) -> Path:
 
 
 def _pad_to_line(source: Optional[SourceText], line: int) -> str:
-    """Return a text with empty lines before it, so that its lines have the numbers of the test file.
-
-    Args:
-        source: the text.
-        line: number of the first empty line.
-    """
+    """Return a text with empty lines before it, so that its lines have the numbers of the test file."""
     return "" if source is None else "\n" * (source.first_line - line) + source.text
 
 

@@ -391,10 +391,6 @@ def parse_output(text: str, reader: EventReader) -> Optional[Tuple[Term, str, Te
     """Return term, topic and id of a text ``event(TERM,TOPIC,ID)``; None for another text.
 
     Any node may publish on the topic of these texts.
-
-    Args:
-        text: the text.
-        reader: reader of such texts.
     """
     try:
         event: Any = deref(reader.read(text))

@@ -68,10 +68,6 @@ class SlotComparison:
     def check_tolerance_paths(self, definition: Definition, place: Place) -> None:
         """Check that a type has the slots that have tolerances.
 
-        Args:
-            definition: the type.
-            place: place of the tolerances.
-
         Raises:
             CaseFileError: if it does not have a slot.
         """

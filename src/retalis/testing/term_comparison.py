@@ -71,11 +71,6 @@ class TermPattern(NamedTuple):
 def read_term_text(text: TermText, operators: Operators, flags: ReadFlags = ReadFlags()) -> Term:  # noqa: B008
     """Return the term of a text.
 
-    Args:
-        text: the text.
-        operators: operators of the program.
-        flags: flags of the reader.
-
     Raises:
         CaseFileError: if the text is not a term; the place is that of the term in the file.
     """

@@ -57,13 +57,7 @@ class _ValueBudget:
 
 
 class YamlText(NamedTuple):
-    """The text of a document.
-
-    Attributes:
-        path: path of the file, for errors.
-        lines: its lines.
-        budget: limit for the number of values.
-    """
+    """The text of a document."""
 
     path: str
     lines: List[str]
@@ -274,10 +268,6 @@ class YamlValue:
 
 def parse_yaml(text: str, path: str) -> YamlValue:
     """Parse a document.
-
-    Args:
-        text: the document.
-        path: its path, for errors.
 
     Raises:
         CaseFileError: if it is no YAML, has several documents, or is empty.

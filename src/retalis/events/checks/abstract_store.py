@@ -246,11 +246,7 @@ def clause_head(clause: Term) -> Term:
 
 
 class EventSignatures:
-    """Types of the arguments of terms: slots of messages, and declared arguments of events.
-
-    Args:
-        program: the program.
-    """
+    """Types of the arguments of terms: slots of messages, and declared arguments of events."""
 
     def __init__(self, program: ProgramModel):
         self._program = program

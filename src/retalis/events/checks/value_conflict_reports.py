@@ -58,9 +58,6 @@ class ConflictReporter:
 
     Kinds grow while the fixpoint is computed, so a conflict may disappear: nothing is reported before its end.
 
-    Args:
-        program: the program.
-
     Attributes:
         is_enabled: whether conflicts are reported.
         impossible_values: constants in patterns of events that no such event has.

@@ -42,9 +42,6 @@ class _ClauseTerm(NamedTuple):
 class ValueFlow:
     """Kinds of the values in a program, and the contradictions between them.
 
-    Args:
-        program: the program.
-
     Attributes:
         impossible_values: constants in patterns of events that no such event has.
         type_conflicts: comparisons, calls and reads with values that are never equal.

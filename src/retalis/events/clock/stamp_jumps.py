@@ -179,13 +179,7 @@ class StampJumps(StateOwner):
         return bool(self._trials)
 
     def check(self, stamp: int, time: int, source: EventName) -> Tuple[JumpDecision, int]:
-        """Return the decision about a timestamp, and the time to which the clock is to be set.
-
-        Args:
-            stamp: the timestamp.
-            time: the time of the clock.
-            source: name of the event.
-        """
+        """Return the decision about a timestamp, and the time to which the clock is to be set."""
         if not self._has_time:
             self._has_time = True
             self._begin_trial(None, stamp, source)

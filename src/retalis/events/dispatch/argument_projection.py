@@ -38,11 +38,7 @@ def find_unread_positions(pattern: Term, unread_variables: AbstractSet[Var]) -> 
 
 
 class ArgumentProjection:
-    """Arguments that no listener reads, and those that sources of events were told to omit.
-
-    Args:
-        listeners: the listeners of the dispatcher, by functor.
-    """
+    """Arguments that no listener reads, and those that sources of events were told to omit."""
 
     def __init__(self, listeners: Dict[Optional[Functor], Dict[Listener, None]]):
         self._listeners = listeners

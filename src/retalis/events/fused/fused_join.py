@@ -119,14 +119,7 @@ def compile_fused_operand(
 def compile_fused_negation(
     negation: NegationBuffer, rule: Any, values_are_arguments: bool, general_path: EventAction
 ) -> EventAction:
-    """Return the action for a negated event; it is fused if no negated event is stored under its key.
-
-    Args:
-        negation: the buffer of the negated events.
-        rule: the rule.
-        values_are_arguments: whether the values are the arguments of the event.
-        general_path: the general path.
-    """
+    """Return the action for a negated event; it is fused if no negated event is stored under its key."""
     generator = _ActionGenerator(negation.buffer, rule, values_are_arguments)
     names = {**_common_names(rule, negation.buffer, general_path), "negation": negation}
     return generator.compile_action(
@@ -171,11 +164,6 @@ class _ActionGenerator:
     """Generator for the action of an event that may be stored as a match.
 
     The generated source contains time limits and sizes of the program, but none of its names and texts.
-
-    Args:
-        own_buffer: the buffer in which the event is stored.
-        rule: the rule.
-        values_are_arguments: whether the values are the arguments of the event.
     """
 
     def __init__(self, own_buffer: MatchBuffer, rule: Any, values_are_arguments: bool) -> None:
@@ -321,13 +309,7 @@ class _ActionGenerator:
 
 
 class _OperandGenerator(_ActionGenerator):
-    """Generator for the action of an operand of a join.
-
-    Args:
-        side: the operand.
-        pair: the node.
-        rule: the rule.
-    """
+    """Generator for the action of an operand of a join."""
 
     def __init__(self, side: MatchSide, pair: FusedPair, rule: Any) -> None:
         super().__init__(side.own_buffer, rule, pair.values_are_arguments[0 if side.is_left else 1])

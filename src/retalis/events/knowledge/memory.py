@@ -232,10 +232,6 @@ class RecordIndex:
 
     Each look-up first adds the records since the last one. The index belongs to the list of records; when the memory
     replaces its lists, once in a quarter of its size, the index is dropped.
-
-    Args:
-        records: records of the memory.
-        argument_position: position of the argument.
     """
 
     __slots__ = ("_argument_position", "_records", "_indexed_count", "_positions", "_unindexed_positions")

@@ -51,10 +51,6 @@ class MemoryGaps:
     Look-ups note gaps that may be too wide. A noted gap is examined when ``datime_interpolate/4`` receives its two
     ends.
 
-    Args:
-        show: returns an id as text.
-        warn: receives warnings.
-
     Attributes:
         max_distance: largest distance in ns of two instants between which a program may interpolate.
         noted_gaps: by start and end, the memories with a gap there, in the order in which they were noted last.

@@ -204,12 +204,7 @@ TIMEOUT_ALARMS = rows_of(
 
 
 class TimeoutAlarm:
-    """The alarm of the earliest deadline.
-
-    Args:
-        timeouts: the deadlines.
-        alarm_instant: the instant for which it is set.
-    """
+    """The alarm of the earliest deadline."""
 
     __slots__ = ("alarm_instant", "timeouts")
 

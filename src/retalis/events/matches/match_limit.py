@@ -31,9 +31,6 @@ _MATCHES_PER_SWEEP_STEP = 250
 class MatchStore(StateOwner):
     """The stored matches of one rule.
 
-    Args:
-        max_stored: maximum number of stored matches.
-
     Attributes:
         meter: counts the pattern work of the rule; None if nothing is counted.
         clock: largest end of the events that its patterns matched.

@@ -117,9 +117,6 @@ class PatternWatermark:
 class Watermarks(StateOwner):
     """Lags of input events, and the watermarks of all patterns that alarms end.
 
-    Args:
-        definitions: returns the definitions of the active rules.
-
     Attributes:
         is_observing: whether lags are recorded: only if a pattern or query needs them.
         setting: delay of patterns without a setting of their own.
@@ -273,11 +270,7 @@ class Watermarks(StateOwner):
         return topics.values()
 
     def end_input(self, advance: Callable[[], object]) -> None:
-        """Run the alarms that only wait for late events, because no more events will arrive.
-
-        Args:
-            advance: runs the alarms that are due.
-        """
+        """Run the alarms that only wait for late events, because no more events will arrive."""
         self._has_ended = self._is_outdated = True
         try:
             self.update()

@@ -50,10 +50,6 @@ class EventInProgress(NamedTuple):
 class AfterMatchSkip(StateOwner):
     """Skip state of a rule: an index of its partial matches by start, and the starts and ends of recent matches.
 
-    Args:
-        rule: the rule.
-        strategy: the strategy.
-
     Attributes:
         last_match_end: largest end of the matches that have fired.
         skipped_until: value of ``last_match_end`` when the dispatch of the current event began; events that start at

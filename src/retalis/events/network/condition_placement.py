@@ -166,12 +166,7 @@ class NegatedPattern:
 
 
 class OverlapCondition(NamedTuple):
-    """A ``without`` that is tested where it is written, because all of its variables are known there.
-
-    Attributes:
-        negated: the negated pattern.
-        vars: variables of its matches.
-    """
+    """A ``without`` that is tested where it is written, because all of its variables are known there."""
 
     negated: NegatedPattern
     vars: FrozenSet[Var]

@@ -122,9 +122,6 @@ class RuleUseCounts:
     written out as a sequence consists of copies of its pattern, whose counts are those of the pattern
     (`add_repetitions`).
 
-    Args:
-        pattern: the pattern of the rule.
-
     Attributes:
         outcomes: for each condition from left to right, how often it was false and true.
         branch_matches: for each ``or`` from left to right, the number of matches of each branch.
@@ -184,12 +181,7 @@ class Arrivals(NamedTuple):
 
 
 class DeferredMatch(NamedTuple):
-    """A match that is stored when the next event is dispatched.
-
-    Attributes:
-        buffer_number: position of the buffer.
-        match: the match.
-    """
+    """A match that is stored when the next event is dispatched."""
 
     buffer_number: int
     match: PartialMatch

@@ -107,11 +107,6 @@ _FINDALL = functor("findall", 3)
 class RuleGoal:
     """A goal of a rule, compiled for the variables that are bound where it stands.
 
-    Args:
-        rule: the rule that contains it.
-        goal: the goal.
-        match_vars: variables of the values of a match.
-
     Attributes:
         result_vars: ``match_vars``, then the other variables of the goal.
     """

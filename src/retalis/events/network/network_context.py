@@ -156,12 +156,7 @@ class NetworkContext:
     def report_far_ahead(
         self, describe: Callable[[], str], dispatch: Callable[[], object] = lambda: None
     ) -> None:
-        """Report an event that is, or has been, far ahead of the clock; one warning covers all rules.
-
-        Args:
-            describe: returns the text of the warning.
-            dispatch: dispatches the event.
-        """
+        """Report an event that is, or has been, far ahead of the clock; one warning covers all rules."""
         count = self._far_ahead_count = self._far_ahead_count + 1
         if count & (count - 1) == 0:
             self.on_warning(RecurringWarning(describe(), None, "far ahead", lambda: self._far_ahead_count))

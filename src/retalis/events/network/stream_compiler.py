@@ -625,11 +625,7 @@ def compile_window_result(
 
 
 class StreamCompiler:
-    """Base of the rule compiler that builds the nodes of operators on streams.
-
-    Args:
-        rule: the rule.
-    """
+    """Base of the rule compiler that builds the nodes of operators on streams."""
 
     _match_keys: MatchKeys
 

@@ -125,10 +125,6 @@ def read_goal_lines(text: str, read_lines: ReadLines) -> Iterator[GoalLines]:
 
     A line is a goal if it reads as a term, with or without a full stop. Otherwise the goal continues to a line that
     ends in a full stop.
-
-    Args:
-        text: text of the file.
-        read_lines: reads the text of lines.
     """
     lines = text.split("\n")
     position = stop_position = 0

@@ -199,12 +199,7 @@ class Topics(NamedTuple):
         return {event: types[topic] for topic, event in reversed(self.events)}
 
     def event_name_of(self, topic: str, canonical_name: Callable[[str], str] = str) -> str:
-        """Return the name of the events of a topic, or "" if they are named by the message type.
-
-        Args:
-            topic: name of the topic.
-            canonical_name: returns the canonical form of a topic name.
-        """
+        """Return the name of the events of a topic, or "" if they are named by the message type."""
         canonical_topic = canonical_name(topic)
         return next((event for name, event in self.events if canonical_name(name) == canonical_topic), "")
 
@@ -216,13 +211,7 @@ class Topics(NamedTuple):
 def quality_of(
     qualities: Tuple[TopicQuality, ...], topic: str, canonical_name: Callable[[str], str] = str
 ) -> QualityOfService:
-    """Return the demanded quality of service of a topic.
-
-    Args:
-        qualities: the topics with demands.
-        topic: name of the topic.
-        canonical_name: returns the canonical form of a topic name.
-    """
+    """Return the demanded quality of service of a topic."""
     canonical_topic = canonical_name(topic)
     return next(
         (quality for name, quality in qualities if canonical_name(name) == canonical_topic), ANY_QUALITY
@@ -326,11 +315,6 @@ def direct_topics(
     """Return the topics that node retalis reads in addition to those of ``pub_sub.xml``, both live and offline.
 
     A topic that ``pub_sub.xml`` names, too, is read with the type that is returned here.
-
-    Args:
-        direct: value of ``~direct``.
-        topics: topics of the program.
-        canonical_name: returns the canonical form of a topic name.
     """
     if direct is True:
         return DEFAULT_DIRECT_TOPICS

@@ -73,12 +73,7 @@ EventFormatter = Callable[[Occurrence], Term]
 
 
 class Justifier:
-    """Explanations of events that the tracker remembers, and of events that did not occur.
-
-    Args:
-        rules: the active rules.
-        tracker: the lineage of events.
-    """
+    """Explanations of events that the tracker remembers, and of events that did not occur."""
 
     def __init__(self, rules: Iterable[EventRule], tracker: LineageTracker):
         self._rules = rules

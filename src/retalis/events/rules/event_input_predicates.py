@@ -102,11 +102,7 @@ class InputEvent(NamedTuple):
 
 
 class InputReader:
-    """Parses events from the text of goals; not thread-safe.
-
-    Args:
-        operators: operators of the texts.
-    """
+    """Parses events from the text of goals; not thread-safe."""
 
     def __init__(self, operators: Operators):
         self._reader = EventReader(operators)

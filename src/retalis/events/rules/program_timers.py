@@ -99,11 +99,7 @@ def _event_key(event: Term) -> Hashable:
 
 
 class TimerTable:
-    """Timers by key, oldest first, and by event.
-
-    Args:
-        timers: initial timers.
-    """
+    """Timers by key, oldest first, and by event."""
 
     def __init__(self, timers: Iterable[ProgramTimer] = ()):
         self.by_key: Dict[Hashable, ProgramTimer] = {}
@@ -414,13 +410,7 @@ class Timers(StateOwner):
 
 
 class TimerAlarm:
-    """The alarm of a timer in the clock.
-
-    Args:
-        timers: the timers of the program.
-        timer: the timer.
-        alarm_instant: instant of the alarm.
-    """
+    """The alarm of a timer in the clock."""
 
     __slots__ = ("timers", "timer", "alarm_instant")
 

@@ -261,14 +261,7 @@ def _merge(first: LeftistHeap, second: LeftistHeap) -> LeftistHeap:
 
 
 class QuantileState(NamedTuple):
-    """Heaps of the numbers up to a quantile, which are negated, and of those above it; see `QuantileHeaps`.
-
-    Attributes:
-        below: the heap of the negated numbers up to the quantile.
-        above: the heap of the numbers above it.
-        below_count: size of ``below``.
-        size: number of all numbers.
-    """
+    """Heaps of the numbers up to a quantile, which are negated, and of those above it; see `QuantileHeaps`."""
 
     below: LeftistHeap = None
     above: LeftistHeap = None

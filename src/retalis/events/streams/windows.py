@@ -322,11 +322,7 @@ class Window(StreamOperator):
 
 
 class _SingleWindow(Window):
-    """Base class of windows with one window per key at a time.
-
-    Args:
-        make_accumulators: creates the accumulators of a key.
-    """
+    """Base class of windows with one window per key at a time."""
 
     def __init__(self, make_accumulators: AccumulatorFactory):
         super().__init__(make_accumulators)

@@ -100,15 +100,7 @@ class ProgramInterface(Protocol):
 
 
 class ProgramMachine(Machine):
-    """Machine of a program, the first argument of built-in predicates.
-
-    Args:
-        logic: the program that it runs.
-        budget: see `Machine`.
-
-    Attributes:
-        logic: the program that it runs.
-    """
+    """Machine of a program, the first argument of built-in predicates."""
 
     def __init__(self, logic: ProgramInterface, budget: Budget):
         super().__init__(budget)

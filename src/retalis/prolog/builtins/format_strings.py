@@ -81,9 +81,6 @@ def format_error(message: str) -> Exception:
 class ColumnLine:
     """The text of a formatted output, with the column stops of its last line.
 
-    Args:
-        column: column of the output before the text.
-
     Attributes:
         finished_parts: the text before the segment.
         segment: parts of the segment between two column stops.

@@ -39,10 +39,6 @@ class Tracer:
 
     Clauses of the program are interpreted while it is on. A predicate of the system is a single call, but the goals
     that it calls are traced.
-
-    Args:
-        machine: runs the goals.
-        write_line: called with a line for each port.
     """
 
     def __init__(self, machine: ProgramMachine, write_line: Callable[[str], None]):

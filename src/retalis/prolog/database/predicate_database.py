@@ -289,9 +289,6 @@ class Database:
 class LibraryView:
     """View of the predicates for the clauses of the library, without redefinitions by the program.
 
-    Args:
-        database: the predicates.
-
     Attributes:
         is_library: True.
         machine: runs the predicates.

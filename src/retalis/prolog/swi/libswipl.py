@@ -134,9 +134,6 @@ class SwiLibrary:
     Short functions keep Python's global interpreter lock, and those that run goals release it. Reacquiring the lock
     takes up to 5 ms if other threads are busy, so it is released only once per goal.
 
-    Args:
-        path: path or name of the library.
-
     Attributes:
         term_types: results of ``term_type`` by the name of a type. They differ between versions.
         utf8_flag: flag of `get_text` and `unify_text` for UTF-8 text.
@@ -433,9 +430,6 @@ class LimitedGoal:
 
 class Interrupter:
     """A thread that checks the limits of running goals, and sleeps while no goal runs.
-
-    Args:
-        swi: the library.
 
     Attributes:
         is_idle: whether `start` has to be called for a new goal.

@@ -160,10 +160,6 @@ class SwiEngine:
 
     Callbacks run on the machine of the program, inside the goal that has called SWI-Prolog.
 
-    Args:
-        logic: the program.
-        runtime: the running SWI-Prolog.
-
     Attributes:
         limited_goal: the running goal, if it has limits.
         number: number of the engine in SWI-Prolog.
@@ -493,9 +489,6 @@ class SwiEngine:
 
         Errors are raised in SWI-Prolog.
 
-        Args:
-            call_ref: reference of the term.
-
         Returns:
             Whether the callback succeeds.
         """
@@ -568,10 +561,6 @@ class SwiProgram:
 
     SWI-Prolog stores the position of the C stack with an engine, and aborts the process if a thread with another
     stack uses the engine. Therefore each engine belongs to one thread.
-
-    Args:
-        logic: the program.
-        runtime: the running SWI-Prolog.
     """
 
     def __init__(self, logic: PrologSystem, runtime: SwiRuntime):

@@ -64,11 +64,7 @@ def release_nothing(handle: int) -> None:
 
 
 class TermParts:
-    """Iterator over the parts of a compound term of SWI-Prolog that is being read.
-
-    Attributes:
-        values: values of the parts that have been read.
-    """
+    """Iterator over the parts of a compound term of SWI-Prolog that is being read."""
 
     __slots__ = ("values",)
 

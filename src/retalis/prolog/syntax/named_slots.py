@@ -130,11 +130,6 @@ class MessageTypes(Protocol):
     def find_constant(self, name: str, constant: str, place: Place) -> Optional[Term]:
         """Return the value of a constant of the messages with a name, or None if it is not a message.
 
-        Args:
-            name: name of the messages.
-            constant: name of the constant.
-            place: where it is named.
-
         Raises:
             RetalisError: if the type has no such constant, or its definition cannot be read.
         """

@@ -82,13 +82,7 @@ class StoredClause(NamedTuple):
 
 
 class PredicateSnapshot(NamedTuple):
-    """Predicate with its clauses.
-
-    Attributes:
-        functor: its functor.
-        properties: its properties.
-        clauses: its clauses, in order.
-    """
+    """Predicate with its clauses."""
 
     functor: Functor
     properties: PredicateProperties
