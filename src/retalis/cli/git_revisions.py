@@ -14,9 +14,7 @@ class Revision(NamedTuple):
     """A revision whose files are in a folder.
 
     Attributes:
-        name: name of the revision.
         root: folder with the files of the repository.
-        program: folder of the program in it.
     """
 
     name: str

@@ -157,9 +157,7 @@ class HelpEntry(NamedTuple):
             or meaning of the predicate.
         example: an example; None for a section and a program.
         page: page with the details.
-        title_stems: stems of the title.
         keyword_stems: stems of keywords, which users have in mind.
-        text_stems: stems of the text.
         factor: factor of the score.
     """
 

@@ -73,7 +73,6 @@ class _NodeSession:
 
     Args:
         connection: connection to the middleware, which has been made a node.
-        node: client of the node.
         definitions: known message types.
 
     Attributes:

@@ -176,7 +176,6 @@ class NodeClient:
         name: full name of the node.
         has_engine: whether the node has an engine.
         interfaces: names of the other nodes that are the ROS interface of this one.
-        published_topics: topics that the node publishes.
 
     Raises:
         UsageError: if the middleware does not answer, or the node does not exist or is ambiguous.

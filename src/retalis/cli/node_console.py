@@ -51,7 +51,6 @@ class NodeConsole:
     """Top level whose goals are solved by a node.
 
     Args:
-        node: the node.
         max_solutions: limit for the solutions of a goal if the input is not a terminal.
         as_json: whether to print solutions as JSON objects.
 

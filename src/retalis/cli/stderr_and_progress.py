@@ -142,7 +142,6 @@ class ProgressBar:
     On a terminal, the line is drawn again and again, with a bar. In a log, it is printed once a minute.
 
     Args:
-        item_name: name of the counted items.
         fraction: returns the completed fraction, from 0 to 1.
         file: terminal or log.
         clock: clock in seconds.

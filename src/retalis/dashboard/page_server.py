@@ -28,7 +28,6 @@ class Dashboard:
     While no page is open, the engine is not observed.
 
     Args:
-        source: the program to show.
         port: port to bind; 0 for any free one.
         period: seconds between two updates.
         port_count: number of ports to try, from ``port`` on.

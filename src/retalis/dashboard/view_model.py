@@ -279,7 +279,6 @@ class TopicRow(NamedTuple):
     """A subscribed topic. Unknown values are None.
 
     Attributes:
-        name: name of the topic.
         kind: message type.
         messages: number of received messages.
         publishers: number of connected publishers.
@@ -308,8 +307,6 @@ class DashboardSource(NamedTuple):
     """The program that a page shows.
 
     Attributes:
-        engine: engine of the program.
-        title: title of the page.
         topics: returns the subscribed topics.
         allows_queries: whether users of the page may ask goals.
     """
@@ -324,7 +321,6 @@ class Snapshot(NamedTuple):
     """The state of a program as the page reads it; the names of the fields are those in its scripts.
 
     Attributes:
-        title: title of the page.
         queries: whether users of the page may ask goals.
         explains: whether events can be explained.
         watching: whether events are observed.

@@ -95,10 +95,8 @@ class LayoutPiece:
     """A token or a comment.
 
     Attributes:
-        text: its text.
         name: the name that it is, or "".
         offset: its offset in the source.
-        role: its role.
         frame: the frame that it is in; for brackets, the frame around them.
         inner: the frame that a bracket opens or closes.
         priority: priority of an operator.
@@ -106,7 +104,6 @@ class LayoutPiece:
         is_tight: whether nothing is on either side of an operator.
         breaks: whether it begins a line.
         has_blank_line: whether a blank line is before it.
-        column: its column.
     """
 
     __slots__ = (
@@ -348,7 +345,6 @@ class ClauseLayout:
     """Layout of a clause.
 
     Args:
-        clause: the clause.
         line_length: maximum length of a line, without the comment at its end.
         can_break: whether line breaks may be added: not in a goal without a full stop.
     """

@@ -233,12 +233,10 @@ class Completion(NamedTuple):
     """A name that can be inserted at a position.
 
     Attributes:
-        name: the name.
         kind: ``slot``, ``constant``, ``event``, ``message``, ``predicate``, ``operator``, ``memory``, ``topic`` or
             ``variable``; in ``pub_sub.xml`` ``element``, ``attribute`` or ``value``.
         detail: its arguments or type.
         documentation: its meaning.
-        text: the text to insert.
     """
 
     name: str

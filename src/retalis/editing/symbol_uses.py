@@ -59,7 +59,6 @@ class SymbolUse(NamedTuple):
     """A place in a text where a symbol is used.
 
     Attributes:
-        symbol: the symbol.
         start: offset of the name.
         end: offset after the name.
         is_definition: whether it is defined there: the head of a rule or clause, a goal that creates an event or a
@@ -97,7 +96,6 @@ class NameUse:
     """A name in a clause that is no operator.
 
     Attributes:
-        name: the name.
         start: offset in the text of the clause.
         end: offset after the name.
         arity: number of arguments; `ANY_ARITY` for a message with named slots.

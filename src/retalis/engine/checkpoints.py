@@ -110,7 +110,6 @@ class RecordBatch(NamedTuple):
         memory: number of the memory in the file.
         earlier_count: number of records that the memory had stored before those of the batch.
         record_count: number of records in the batch.
-        data: the encoded records.
     """
 
     memory: int
@@ -127,7 +126,6 @@ class Checkpoint(NamedTuple):
         records: for each memory its batches of records.
         files: files that the program was read from.
         written_at: time at which the checkpoint was written, in seconds since the epoch.
-        format_number: format of the file.
     """
 
     sections: Dict[str, Any]
@@ -141,7 +139,6 @@ class StoredMemoryPosition(NamedTuple):
     """Records of a memory in a checkpoint file.
 
     Attributes:
-        number: number of the memory in the file.
         dropped_count: number of records that were stored before its oldest one.
         end: an empty batch, encoded, positioned after its newest record.
     """
@@ -545,8 +542,6 @@ class Checkpointer:
     """Periodic writer of an engine's state, in its own thread.
 
     Args:
-        engine: the engine.
-        file: the checkpoint file.
         program: folder of the program.
         reports: receives errors.
         interval_seconds: minimum interval between checkpoints, in seconds.

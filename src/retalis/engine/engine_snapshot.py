@@ -120,8 +120,6 @@ class StoredProgram(NamedTuple):
     """Program of an engine without clauses.
 
     Attributes:
-        rules: the rules.
-        memories: the memories.
         subscriptions: definitions of the subscriptions.
         states: terms of the declared states.
         deployments: the deployments by folder.
@@ -180,13 +178,11 @@ class RunState(StateOwner):
     """Clock and counters of an engine.
 
     Args:
-        clock: the clock.
         watermarks: lags of the topics.
         event_input: counts the events.
         dispatcher: numbers the events.
         executor: counts the dropped requests.
         subscriptions: count their outputs.
-        service_calls: calls of services.
     """
 
     STATE = StateFields(
@@ -234,7 +230,6 @@ class ForeignSources:
 
     Args:
         logic: receives the predicates.
-        files: files of the program.
         executor: runs the foreign predicates.
         allow_foreign: whether Python modules may be loaded.
         allow_swi: whether SWI-Prolog may be used.
@@ -304,7 +299,6 @@ class EngineSnapshot:
     No event or goal may be active during a call.
 
     Args:
-        program: the program.
         run_state: clock and counters.
         input_topics: topics that goals have requested.
         slots: the types of event names.

@@ -392,7 +392,6 @@ class StatusReader:
     Texts of rules and patterns are cached between calls, as long as their items are listed.
 
     Args:
-        program: the program of the engine.
         executor: executor of the engine, with its queue.
         event_input: counts the events.
         service_calls: counts the calls of services.

@@ -47,7 +47,6 @@ class EventInput(StateOwner):
 
     Args:
         logic: the Prolog system whose machine runs the consequences of an event.
-        dispatcher: dispatches the events.
         clock: the clock of the engine.
         rules: the rules, whose watermarks receive the lags of events behind a clock that they do not move.
         knowledge: memories, transforms, pending queries, subscriptions and states.
@@ -291,7 +290,6 @@ class TopicRequest(NamedTuple):
 
     Attributes:
         topic: name of the topic as written in the goal.
-        message_type: type of the messages.
         event: name of the events; "" for the name of the message type.
     """
 
@@ -314,7 +312,6 @@ class InputTopics:
     warning, so that a program can be tested without topics.
 
     Args:
-        logic: Prolog system of the program.
         slots: receives the message types of event names.
         reports: receives the warning.
     """
@@ -477,8 +474,6 @@ class TextInput:
     """Reader of events from text; not thread-safe.
 
     Args:
-        operators: operators of the texts.
-        dispatch: dispatches an event.
         call: calls a goal once; None if only events are accepted.
         reports: receives warnings about rejected texts.
         declared: declarations that events must match.

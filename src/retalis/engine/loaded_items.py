@@ -211,7 +211,6 @@ class StoredDeployment(NamedTuple):
     """Stored form of a `Deployment`; numbers are positions in the lists of the program.
 
     Attributes:
-        rules: positions of its rules.
         clauses: by predicate, positions of its clauses.
         retracted: by predicate, clauses that are no longer part of it.
         memories, subscriptions, states: positions.

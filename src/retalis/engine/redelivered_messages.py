@@ -26,7 +26,6 @@ class IdentifiedMessage(NamedTuple):
     """A message that may be delivered again.
 
     Attributes:
-        event: its event.
         topic: full name of its topic.
         identity: tells it apart from the other messages of the topic.
     """

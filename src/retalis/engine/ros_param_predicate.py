@@ -37,7 +37,6 @@ class RosParameters:
     """The ROS parameters that goals of a program read.
 
     Args:
-        logic: Prolog system of the program.
         slots: has the program's form of strings.
         reports: receives a warning if there are no parameters.
     """

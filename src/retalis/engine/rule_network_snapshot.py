@@ -59,7 +59,6 @@ class StoredRule(NamedTuple):
     """Definition of a rule.
 
     Attributes:
-        term: its term.
         label: its label, or None.
         place: its place in a file, or None.
         names: names of its variables.
@@ -80,7 +79,6 @@ class StoredRules(NamedTuple):
 
     Attributes:
         definitions: the rules: active ones in the order of their serials, then deleted ones.
-        properties: the properties of labels.
         flags: flags that have been changed, by name.
         loaded_files: paths of the event files that were loaded.
         program_folders: folders from which the program may load files.

@@ -50,7 +50,6 @@ class ServiceRequest(NamedTuple):
         type: type of the service, ``pkg/Type``.
         request: type of the request.
         response: type of the response.
-        term: the request as a term.
         data: the serialized request.
         seconds: limit for the time until the reply.
     """
@@ -69,7 +68,6 @@ class UnansweredCall(NamedTuple):
 
     Attributes:
         service: name of the service as written in the goal.
-        call_id: the id of the call.
     """
 
     service: str
@@ -82,7 +80,6 @@ class ServiceCall:
     All methods may be called from any thread.
 
     Args:
-        request: the call.
         end: called once, with the serialized response, or with None and the reason of the failure.
 
     Attributes:
@@ -136,7 +133,6 @@ class ServiceCalls(StateOwner):
     of the executor, which does not drop them. The events of calls that are refused may be dropped, as messages are.
 
     Args:
-        logic: Prolog system of the program.
         slots: the known types, with the program's form of strings.
         executor: does the work of the engine.
         dispatch: dispatches an event, in the engine's turn.

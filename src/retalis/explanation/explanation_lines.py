@@ -69,7 +69,6 @@ class TimeFormat:
     """Text of intervals: ``at T`` for a point in time, ``[T1,T2]`` for others.
 
     Args:
-        show: returns the text of a term.
         reference_time: nanoseconds since the epoch; times are shown in seconds relative to it. None for absolute
             times.
         occurrences: the recorded events, whose first stamps determine the form of absolute times of the clock.

@@ -125,8 +125,6 @@ class PartResult(NamedTuple):
     """Result for a part of a pattern.
 
     Attributes:
-        text: the part and its result.
-        matches: matches of the part.
         parts: results of the parts below it.
         event: the event, if the part is a single event.
         was_tested: False if the part was not tested, because a part below it did not match.

@@ -66,7 +66,6 @@ class TextCache(Cache[str, str]):
     """Cache of a function on strings: ``texts[text]`` is ``compute(text)``, stored if it is short.
 
     Args:
-        compute: the function.
         max_entries: see `Cache`.
         max_bytes: see `Cache`.
         max_entry_bytes: see `Cache`.

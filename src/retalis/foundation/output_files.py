@@ -105,7 +105,6 @@ class OutputFailed(SafeExit):
     It is not an `Exception`, because the engine reports exceptions of callbacks and continues.
 
     Attributes:
-        name: name of the output.
         error: the error of the operating system.
     """
 

@@ -158,7 +158,6 @@ class ActionMessages:
     """Conversion of the messages of one source of an action's topic to messages of an event type.
 
     Args:
-        event: the event.
         source: type of the source's messages.
         serialization_format: that of these messages.
 

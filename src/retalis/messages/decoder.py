@@ -238,7 +238,6 @@ class DecoderGenerator:
 
     Attributes:
         lines: the statements of the function so far; they advance the offset ``o`` in the bytes ``data``.
-        globals: the globals of the function.
         new_name: returns a new variable name with a prefix; with a value, a global name that is bound to it.
         run_base: source of the offset that the start of the run is relative to.
         run_shift: bytes from ``run_base`` to the start of the run.

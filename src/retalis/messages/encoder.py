@@ -134,7 +134,6 @@ class EncoderGenerator:
         chunks: expressions of the bytes of the message, in order.
         run_format: `struct` codes of the current run of slots of fixed size.
         run_values: variables of the values of the run.
-        globals: the globals of the function.
         new_name: returns a new variable name with a prefix; with a value, a global name that is bound to it.
     """
 

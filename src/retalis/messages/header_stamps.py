@@ -210,7 +210,6 @@ class _StampedField(NamedTuple):
     """A field with stamps, or a field without stamps before it, which has to be skipped.
 
     Attributes:
-        field: the field.
         suffix: byte that distinguishes the field's frames from those of other fields.
         has_child: whether a child frame follows the header; None if the field has no stamp.
         trailing_bytes: number of bytes after the frames; None if elements differ in it.
@@ -290,7 +289,6 @@ class Ros1Walker:
     """Positions in a serialized message of ROS 1. All methods raise `struct.error` if the bytes end before.
 
     Attributes:
-        data: the message.
         start: offset of the first slot.
     """
 

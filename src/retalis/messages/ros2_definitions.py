@@ -325,7 +325,6 @@ class _TextSection(NamedTuple):
     Attributes:
         syntax: ``MSG``, ``SRV``, ``ACTION`` or ``IDL``.
         type: name of the type, service or action.
-        text: the definition.
         line_count: number of lines, including those of the heading.
     """
 

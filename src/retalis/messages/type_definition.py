@@ -111,10 +111,7 @@ class Constant(NamedTuple):
     """A named value of a definition.
 
     Attributes:
-        type: type of the value.
-        name: name of the constant.
         text: the value as written.
-        value: the value.
         problem: why the constant is ignored, with its place; "" for a valid one. Other tools write definitions with
             repeated names or invalid values, and these are part of the checksum.
     """

@@ -451,7 +451,6 @@ class Learned(NamedTuple):
     """Decoder of a publisher's messages.
 
     Attributes:
-        decoder: the decoder.
         is_replacement: whether the requested type is unknown and the publisher declares another name.
     """
 
@@ -847,7 +846,6 @@ class _Resolver:
 
     Args:
         registry: the known types.
-        installed: the installed types.
         sections: the definitions in one text, by type.
         in_progress: the types that are being resolved. A type that is needed while it is in this set contains itself.
     """

@@ -91,7 +91,6 @@ class Health(NamedTuple):
     """Status of one part of a node.
 
     Attributes:
-        name: name of the part.
         level: severity.
         message: reason for the level, in a few words.
         values: details, as pairs of name and value.

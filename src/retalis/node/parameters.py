@@ -382,11 +382,7 @@ def _read_password(path: Path) -> str:
 
 
 class _GivenParameters:
-    """Parameters by name, with a method for each kind of value.
-
-    Args:
-        values: the given parameters.
-    """
+    """Parameters by name, with a method for each kind of value."""
 
     def __init__(self, values: Mapping[str, Any]):
         self._values = values

@@ -265,7 +265,6 @@ class UntypedTopicWarnings:
 
     Args:
         transport: the middleware.
-        published: topics with a type.
         reports: receives the warnings.
         consequence: what happens to the outputs.
     """

@@ -50,7 +50,6 @@ class ProgramContext(NamedTuple):
         transport: the middleware, or a bag.
         definitions: known message types, to which those of publishers are added.
         reports: receives errors and warnings of single events and messages.
-        topics: topics of the program.
         direct: value of ``~direct``.
     """
 
@@ -88,8 +87,6 @@ class RunningProgram:
     Attributes:
         engine: see above.
         direct: topics that are subscribed in addition to those of the program.
-        published: published topics.
-        subscribed: subscribed topics.
         untyped_topics: warns about outputs without a type.
     """
 

@@ -125,7 +125,6 @@ class EngineServices:
 
     Args:
         transport: the middleware.
-        engine: engine of the node.
         untyped_topics: warns about subscribed topics without a type.
         explain_missing_source: returns the reason why no events of a pattern are expected; "" if there may be some.
         explain_type_mismatch: returns the reason why no output of a subscription, a goal ``subscribe/5``, can be a
@@ -593,7 +592,6 @@ class ReloadService:
 
     Args:
         transport: the middleware.
-        engine: engine of the node.
         folder: folder of the program.
         writable: folders in which goals may write files; None means anywhere.
         topics: topics of the program when the node started.

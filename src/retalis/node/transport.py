@@ -48,7 +48,6 @@ class MessageSource(NamedTuple):
         md5sum: checksum of the type in ROS 1; "" if unknown.
         is_latched: whether it sends its last message to each new subscriber.
         address: identifies the process of the node; "" if unknown.
-        format: serialization of its messages.
     """
 
     node: str

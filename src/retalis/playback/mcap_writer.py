@@ -49,7 +49,6 @@ class McapWriter(NewBag):
     """A new ROS 2 bag: an MCAP file; a context manager. It is complete when it is closed.
 
     Args:
-        path: path of the file.
         overwrite: whether an existing file may be replaced.
         incomplete_files: records of the files that were incomplete in the bag from which the messages come.
 

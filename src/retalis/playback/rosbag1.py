@@ -435,7 +435,6 @@ class NewBag:
     exception, it is discarded, and the path stays as it was.
 
     Args:
-        path: path of the file.
         overwrite: whether an existing file may be replaced.
 
     Raises:

@@ -95,7 +95,6 @@ class Ros2BagReader:
     Types have the names of ROS 1. Attributes and methods are those of `BagReader`.
 
     Args:
-        path: path of the bag.
         max_chunk_megabytes: as for `BagReader`.
         message_folders: folders with the types that the bag does not define; see `InstalledTypes`.
         strict: as for `BagReader`.

@@ -66,13 +66,11 @@ class TableColumn(NamedTuple):
     """A column of a table, or a field of a struct.
 
     Attributes:
-        name: its name.
         type: type of its values, or of the elements of its lists: a number type of messages, ``text``, ``texts``,
             ``bytes``, ``timestamp`` (of nanoseconds), ``seconds`` (of nanoseconds), ``mark`` (a message without
             slots, which is true) or ``struct``.
         source: key of its value in a record or message.
         is_list: whether its values are lists.
-        fields: fields of a struct.
     """
 
     name: str

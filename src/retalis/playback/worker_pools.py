@@ -121,7 +121,6 @@ class _Worker(Generic[Task, Result]):
 
     Attributes:
         connection: becomes readable when a result is available or the process has died.
-        task_index: index of its current task.
     """
 
     def __init__(self, function: "Function[Task, Result]", scratch: str):

@@ -73,7 +73,6 @@ class LowWaterMark:
     ended), each message is read at once again, for a number of windows that doubles with each failure.
 
     Args:
-        sock: socket of the connection.
         max_delay: seconds for which a message may wait for the next ones, on average.
         now: clock in seconds.
     """

@@ -88,7 +88,6 @@ class TopicWriter:
 
     Args:
         topic: name of the topic.
-        message_class: class of the messages.
         queue_size: number of messages to queue for one receiver; beyond it the oldest are dropped for this receiver.
         reports: receives a warning for every dropped message.
         must_wait_for: returns whether the publisher waits for a receiver before messages are dropped for it, so that

@@ -197,7 +197,6 @@ class SubscriptionReceiver:
     """Receiver of the list of subscriptions in the interface node, which passes each one on once.
 
     Args:
-        subscribe: subscribes to a topic.
         reports: receives a warning for each malformed list.
     """
 
@@ -248,7 +247,6 @@ class InputChanges(NamedTuple):
     Attributes:
         direct: value of ``~direct`` of the interface node.
         added: types of the added topics.
-        deleted: deleted topics.
     """
 
     direct: DirectTopics

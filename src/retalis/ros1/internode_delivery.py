@@ -86,9 +86,7 @@ class _Batch(NamedTuple):
     """Texts that are published together, as serialized messages.
 
     Attributes:
-        number: number of the batch.
         mark: message that only the peer receives, before the texts.
-        messages: the texts.
         text_count: number of texts.
     """
 

@@ -39,7 +39,6 @@ class StartupQueue:
     """Messages of a topic that wait for its known subscribers.
 
     Args:
-        topic_writer: writer of the topic.
         max_messages: number of messages to queue; beyond it the oldest are dropped.
         reports: receives a warning for each dropped message.
     """

@@ -24,7 +24,6 @@ class InterfaceLink:
     """The exchange with the node ``retalis_ros_interface``.
 
     Args:
-        parameters: parameters of this node.
         reports: receives a warning for each malformed message.
     """
 

@@ -185,7 +185,6 @@ class OutputTextPublisher:
     to a latched topic is sent again to an interface that is restarted.
 
     Args:
-        topic: topic of the texts.
         queue_size: number of texts to buffer.
         reports: receives a warning for every dropped text.
         published: topics that the interface publishes.

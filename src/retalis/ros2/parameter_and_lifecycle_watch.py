@@ -51,7 +51,6 @@ class ParameterAndLifecycleWatch:
     """Watch of the parameters and life cycles of all nodes.
 
     Args:
-        node: the node that watches.
         report: receives the changes, in the thread of the executor.
         warn: receives a warning.
         call_later: calls a function after some nanoseconds of real time.

@@ -36,7 +36,6 @@ class RclpyServiceCalls:
     """Calls of services, with one client for each service.
 
     Args:
-        node: the node.
         interfaces: the installed types.
         group: group of the clients, whose callbacks may overlap.
     """

@@ -65,7 +65,6 @@ class RclpyTransport:
     each service request has one of its own, because it may wait.
 
     Args:
-        node: the node.
         executor: runs the callbacks of the node.
         reports: receives errors and warnings of single messages.
 
@@ -74,7 +73,6 @@ class RclpyTransport:
         received_formats: that of received messages, which is the same.
         node_name: full name of this node.
         is_time_simulated: whether time comes from ``/clock``.
-        create_transform_buffer: creates the buffer of transforms.
     """
 
     def __init__(self, node: Node, executor: SingleThreadedExecutor, reports: Reports):
@@ -379,11 +377,7 @@ class NodeExecutor:
     """A thread that runs the callbacks of a node: events, parameters, services and states of the life cycle.
 
     Args:
-        node: the node.
         on_error: receives exceptions of callbacks.
-
-    Attributes:
-        executor: the executor.
     """
 
     def __init__(self, node: Node, on_error: Callable[[Exception], object]):

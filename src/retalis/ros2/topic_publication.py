@@ -58,7 +58,6 @@ class RclpyPublication:
     """A publisher of rclpy; see `Transport.advertise`.
 
     Args:
-        node: the node.
         message_class: generated class of the messages.
         topic: full name of the topic.
         quality: quality of service.

@@ -83,7 +83,6 @@ class RclpySubscription:
     is one, and is replaced when another one follows.
 
     Args:
-        node: the node.
         intake: reads the messages.
         options: how the topic is read.
         connect: returns the receiver of the messages.

@@ -158,7 +158,6 @@ class FieldType(Generic[Value]):
 
     Args:
         name: description in `StateFields.describe`.
-        checker: returns the check of a value.
         encoder: encoding of a value; None if it is stored unchanged.
         has_sources: whether values can have references to what an object consists of, see `reference`.
     """

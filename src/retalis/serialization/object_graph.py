@@ -71,7 +71,6 @@ class ObjectWriter:
     """Writer that assigns numbers to objects and encodes their attributes.
 
     Args:
-        external: the external objects.
         replace: returns the object that is written in place of another one, such as a copy without some links; None
             if each is written itself.
     """
@@ -195,7 +194,6 @@ class ObjectReader:
 
     Args:
         value: result of `ObjectWriter.encode`.
-        external: the external objects.
         changes: see `ReadContext`.
 
     Attributes:

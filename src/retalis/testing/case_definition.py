@@ -63,7 +63,6 @@ class CaseEvent(NamedTuple):
         time: time at which it is received, which is its end by default.
         start: start of the event; None for an event without duration.
         end: end of the event; None for ``time``.
-        event: its term.
     """
 
     time: int
@@ -94,7 +93,6 @@ class ServiceAnswer(NamedTuple):
     """A prepared answer of a ROS service.
 
     Attributes:
-        name: name of the service.
         request: slots of the requests that it answers; None for all requests.
         reply: slots of the reply, while others are zero; None if ``error`` is the answer.
         error: reason of a failure.
@@ -116,7 +114,6 @@ class InputBag(NamedTuple):
     """Messages of a bag, which keep their times: the case starts with the first one.
 
     Attributes:
-        path: the bag.
         start: seconds to skip.
         duration: seconds to play; None for all.
         topics: topics to play; empty for all.
@@ -158,8 +155,6 @@ class Mutation(NamedTuple):
     """A change of one event or message of the input.
 
     Attributes:
-        type: its type.
-        input: the event or message.
         amount: nanoseconds by which the receipt is later, or by which the stamp differs; 0 if neither changes.
         next_input: input after which it is received, if it is overtaken.
     """
@@ -192,10 +187,8 @@ class ExpectedItem(NamedTuple):
     Attributes:
         term: pattern of the term.
         message: slots of the message by name.
-        topic: topic of an output.
         id: id of the subscription of an output.
         time: time of an output, or the end of an event.
-        start: start of an event.
         within: allowed difference of the times.
         tolerance: allowed difference of numbers.
         slot_tolerances: tolerances of slots of the message, by path, as ``pose.position.x``.
@@ -222,7 +215,6 @@ class ExpectedSequence(NamedTuple):
     Attributes:
         subject: ``outputs`` or ``events``.
         relation: ``exactly``, ``contains``, ``in_order``, ``none`` or ``count``.
-        items: the expected items.
         occurrences: allowed number of all, if the relation is ``count``.
         place: its place in the file.
     """
@@ -313,13 +305,10 @@ class Case(NamedTuple):
 
     Attributes:
         name: its name, unique in the file.
-        program: the program.
         start: time of its start in nanoseconds since the epoch; None for that of its bags, or `DEFAULT_START`.
         events: input events by time.
         messages: input messages by time.
-        bags: input bags.
         end: time to which the clock advances after the input; None for the end of the input.
-        expectations: the expectations.
         timeout: limit in seconds for its execution.
         place: its place in the file.
         mutations: changes of the input, also none, if the case is a try of the fuzzer; None otherwise.

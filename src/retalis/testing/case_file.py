@@ -328,7 +328,6 @@ class _CaseReader:
 
     Args:
         path: the file.
-        case: value of the case.
         defaults: values for keys that the case does not have.
         needs_program: whether a case without program is an error.
     """

@@ -72,7 +72,6 @@ class FuzzReport(NamedTuple):
     """Report about a case.
 
     Attributes:
-        case: the case.
         tries: number of tries.
         survived: number of tries in which an expectation holds, by its name.
         findings: the findings, by type.
@@ -195,8 +194,6 @@ class _MutationMaker:
     """Maker of random mutations.
 
     Args:
-        case: the case.
-        messages: its messages.
         random: source of random numbers.
 
     Attributes:
@@ -254,7 +251,6 @@ class _TryRunner:
     """Runner of tries, which runs equal ones once.
 
     Args:
-        case: the case.
         definitions: known message types.
         jobs: maximum number of processes.
     """

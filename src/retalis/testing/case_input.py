@@ -30,10 +30,8 @@ class CaseBag:
 
     Args:
         path: description of the input.
-        bags: bags of the case.
         messages: messages of the case by time, with times since the epoch.
         start: start of the case in nanoseconds since the epoch.
-        end: end of the case.
         mutator: changes the messages; None if they remain as they are.
 
     Attributes:

@@ -162,7 +162,6 @@ class VersionPart(NamedTuple):
     """Part of a version.
 
     Attributes:
-        rules: its rules.
         subscriptions: topics and ids of its subscriptions.
     """
 
@@ -224,7 +223,6 @@ class ProgramVersion:
     """A loaded version of a program, as far as its comparison needs it.
 
     Args:
-        folder: its folder.
         engine: its engine, before the first event; it has loaded this folder only.
         definitions: the known message types.
 

@@ -28,7 +28,6 @@ class EngineDriver:
         program: folder of a program to load; None for an engine without program.
 
     Attributes:
-        engine: the engine.
         events: events since the last `clear`, as texts.
         outputs: outputs since the last `clear`, as texts ``TOPIC: TERM``.
         problems: errors and warnings; the log of the package while `ProblemLog.attached` is active.

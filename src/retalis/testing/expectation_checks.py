@@ -34,7 +34,6 @@ class RunItem(NamedTuple):
     """An output or an event of a run.
 
     Attributes:
-        term: its term.
         start: start in nanoseconds since the start of the case; equal to ``time`` for outputs.
         time: time of an output, or end of an event.
         topic: topic of an output, "" for events.
@@ -91,7 +90,6 @@ class Failure(NamedTuple):
 
     Attributes:
         summary: what differs, in one line.
-        place: place of the expectation.
         differences: listing of the items.
         broken: names of the expectations that do not hold, such as ``outputs[2]`` for the third expected output.
     """
@@ -106,7 +104,6 @@ class ItemMatcher:
     """An expected item, ready for comparisons.
 
     Args:
-        item: the item.
         operators: operators of the program.
         start: start of the case in nanoseconds since the epoch.
         is_output: whether this is an output.
@@ -241,7 +238,6 @@ class SequenceCheck:
     """Check of one expectation.
 
     Args:
-        expected: the expectation.
         operators: operators of the program.
         start: start of the case in nanoseconds since the epoch.
         name: name of the expectation; by default its subject and relation.

@@ -31,9 +31,7 @@ class ProgramNames:
     """Names that a program has after its run. They are collected when an expectation needs them.
 
     Args:
-        playback: the program.
         program: its files or texts.
-        outputs: its outputs.
         events: events that have occurred.
     """
 

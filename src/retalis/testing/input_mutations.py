@@ -80,7 +80,6 @@ class MessageMutator:
     """Mutation of the messages of a case and its bags.
 
     Args:
-        mutations: the mutations.
         definitions: known message types.
         start: start of the case in nanoseconds since the epoch.
 

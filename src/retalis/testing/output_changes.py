@@ -66,7 +66,6 @@ class PlainOutput(NamedTuple):
     Attributes:
         time: time of the bag in nanoseconds since the epoch.
         topic: name of the topic.
-        term: the term.
     """
 
     time: int
@@ -83,7 +82,6 @@ class OutputChange(NamedTuple):
     """A difference between the outputs of two versions.
 
     Attributes:
-        type: its type.
         old: output of the old version; None if it is gained.
         new: output of the new version; None if it is lost.
         reasons: lines of the explanation.
@@ -122,7 +120,6 @@ class Version(NamedTuple):
     """A version of a program.
 
     Attributes:
-        folder: its folder.
         load: loads it, with a given conversion of messages to events.
         enter: returns a context in which it runs, which may receive its log.
     """

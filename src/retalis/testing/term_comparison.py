@@ -25,7 +25,6 @@ class TermPattern(NamedTuple):
     """A term with variables.
 
     Attributes:
-        term: the term.
         tolerance: tolerance for its numbers.
         start: start of the case in nanoseconds since the epoch.
     """

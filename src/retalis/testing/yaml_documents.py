@@ -74,7 +74,6 @@ class YamlValue:
 
     Args:
         node: node of `ruamel.yaml`.
-        source: the document.
         name: description for errors: the key of the value, or its position in a list.
         depth: nesting depth.
     """

@@ -235,7 +235,6 @@ class TopicFrames(Cache[bytes, FrameClock]):
     """Frames of a topic, by the bytes of their ids.
 
     Attributes:
-        name: name of the topic.
         previous_frames: frames of the previous epoch that have not occurred in the present one.
         distant_count: number of messages with a distant timestamp.
         refused_count: number of these that were refused.

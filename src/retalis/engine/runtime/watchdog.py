@@ -59,7 +59,6 @@ class Watchdog:
 
     Args:
         executor: the executor, with the current ``thread`` and ``entry``.
-        budget: limits of the entry.
         warn_after: seconds until the first warning; the interval doubles after each warning. None disables warnings.
         on_warning: called in the watchdog's thread with the duration in seconds and the entry.
     """

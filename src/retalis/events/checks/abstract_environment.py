@@ -29,12 +29,10 @@ class Environment:
     """Kinds of the variables of a part of the program.
 
     Args:
-        part: the part.
         conflicts: receives values that have nothing in common.
         values: the variables with known kinds; all others can have any value.
 
     Attributes:
-        part: the part.
         values: what is known of the variables.
     """
 

@@ -68,7 +68,6 @@ class AbstractStore:
     """Kinds of the arguments of events, predicates and records.
 
     Args:
-        program: the program.
         goals: all compound terms of the program.
         worklist: schedules the readers of changed entries.
     """

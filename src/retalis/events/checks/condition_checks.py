@@ -56,8 +56,6 @@ class Conjunction(NamedTuple):
     """Goals that must hold together, with the rule or clause that contains them.
 
     Attributes:
-        goals: the goals.
-        source: the rule or clause.
         is_clause: whether the source is a clause; a rule otherwise.
         names: names of variables.
         bounds: numbers that earlier comparisons of each variable allow; other conditions of a match may share it.

@@ -68,7 +68,6 @@ class GoalTransfer:
     """Transfer functions of goals.
 
     Args:
-        program: the program.
         store: kinds of predicates, states and records that goals read and add to.
         created_events: receives the events that goals raise.
         conflicts: receives comparisons, calls and reads of values that are never equal.

@@ -42,9 +42,7 @@ class _SlotValue(NamedTuple):
     """A value in a slot of a message in a pattern.
 
     Attributes:
-        slot: the slot.
         name: names of the slot and of its type.
-        message: the message.
         position: position of the slot in the message, from 1.
         prefix: beginning of errors about the pattern.
     """
@@ -125,11 +123,7 @@ class _NumberComparison(NamedTuple):
     """Comparison for equality of a variable that is a slot of a message with a number.
 
     Attributes:
-        name: name of the variable.
-        slot: the slot.
-        value: the number.
         numeric: for a comparison of terms, the one that compares numbers; "" otherwise.
-        place: place of the number.
         prefix: beginning of findings without a place.
     """
 

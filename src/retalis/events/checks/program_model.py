@@ -395,7 +395,6 @@ class ProgramModel:
     """Loaded program with its files.
 
     Args:
-        rules: the rules.
         knowledge: the memories, subscriptions and states.
         definitions: the known message types.
         topics: contents of ``pub_sub.xml``.

@@ -58,7 +58,6 @@ class SlotOccurrence(NamedTuple):
     """Occurrence of a variable in a typed slot.
 
     Attributes:
-        value_type: the type.
         slot: slot and message type, or declared argument and event.
         is_created: whether the program creates the term with the slot. Then the value comes from elsewhere and is put
             into the slot; otherwise the value comes from the slot.

@@ -28,7 +28,6 @@ class Listener:
 
     Attributes:
         order: sorting key: phase, rank, and number of creation.
-        pattern: the pattern.
         functor: its functor; None for a variable.
         matcher: the compiled pattern.
         action: called with each match.

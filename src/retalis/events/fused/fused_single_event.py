@@ -30,7 +30,6 @@ class Continuation(NamedTuple):
     """Action for the values of a match of one event, with properties by which generated code can shorten it.
 
     Attributes:
-        action: the action.
         is_fused: whether the action accepts None for the values of a pattern that matches all events of its functor.
         event_filter: filter for the event that the action creates; if it has no listeners, the action has no effect.
     """

@@ -30,8 +30,6 @@ class FusedWindow(NamedTuple):
 
     Attributes:
         span: length of the window in ns.
-        key_positions: positions of the values that are the key.
-        measure_names: names of the measures.
         value_positions: position of the value of each measure; None for a measure without one.
     """
 

@@ -97,7 +97,6 @@ class OpenState:
 
     Attributes:
         key: key of its term.
-        term: its term.
         shared_key: keys of the values that it shares with the event that ends it.
         order: identity; increases in the order in which states began.
         openings: events with which it may have begun, first one first.
@@ -145,7 +144,6 @@ class DeclaredState(StateOwner):
     As the code of a frame ``(self, ended states, next frame)`` it dispatches the events of states that have ended.
 
     Args:
-        form: the declaration.
         logic: the system whose machine processes events.
         dispatcher: dispatcher of the events that begin and end states.
         clock: calls alarms for states that end by themselves.

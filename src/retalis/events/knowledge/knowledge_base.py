@@ -63,7 +63,6 @@ class KnowledgeBase:
         warn: receives warnings as text.
         rules: rules of the program; they check patterns, and call subscriptions that send later.
         warn_unknown_calls: warns of unknown predicates in conditions; takes these and the name of their owner.
-        buffer: buffer of the transforms.
     """
 
     def __init__(

@@ -621,8 +621,6 @@ class Recorder:
     As the code of a frame it continues with the remaining memories.
 
     Args:
-        dispatcher: dispatcher of the events.
-        pattern: the event pattern.
         recording: the recording function, and whether it makes a ground record of a ground event.
         on_update: takes instance, end and next frame; returns the frame that processes the update.
         find: returns the memory with an id, or None.

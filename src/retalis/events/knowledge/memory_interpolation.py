@@ -159,7 +159,6 @@ class TransformChains:
     """Products of given poses and of poses that are interpolated between records of memories.
 
     Args:
-        memories: the memories.
         gaps: decides over which gaps there is no pose.
     """
 

@@ -75,7 +75,6 @@ class MemoryInstances:
         instances: instances by the keys of their names.
         on_update: called when an instance has reached the instant of a pending query, with the instance, the end of
             the recorded event, and the next frame; each returns the frame to continue with.
-        on_delete: called with an instance that is deleted.
     """
 
     def __init__(

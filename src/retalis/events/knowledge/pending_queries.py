@@ -357,8 +357,6 @@ class DerivedQuery(ReleasableQuery):
     """A pending query that records the event that caused it; used if lineage is tracked.
 
     Args:
-        dispatcher: dispatcher of the events.
-        query: the query.
         cause: identity of the event that is being dispatched when the query is registered; the triggered event is
             derived from it.
     """
@@ -483,8 +481,6 @@ class StoredQuery(NamedTuple):
 
     Attributes:
         order: its order.
-        event: its event.
-        query: its query.
         start: start of the event in ns.
         end: end of the event in ns.
         awaited: ids of memories, with the instants that they have to reach.

@@ -63,19 +63,16 @@ class OutputRateLimiter(StateOwner):
     first.
 
     Args:
-        rate_pattern: the rate operator.
         event: pattern of the events.
         title: name of the subscription in reports.
         network: sets the alarms and provides the limits.
         warn: receives warnings.
         position: position among all subscriptions.
-        send: sends the term of an event.
 
     Attributes:
         serial: 0, so that alarms of subscriptions run before those of rules.
         active: whether it may be called by the clock.
         alarm_instant: instant of its next alarm; None if no alarm is set.
-        watermark: the watermark of the events of the subscription.
         late_count: number of events that arrived too late.
         dropped_count: number of events that were dropped because there were too many.
         ahead_count: number of events that were too far ahead of the clock to advance the time of the operator.

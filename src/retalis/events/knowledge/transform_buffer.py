@@ -73,13 +73,10 @@ class CoordinateFrame(QueryQueue):
     The lists are ordered by instant. Only the entries from `first` on count.
 
     Attributes:
-        name: its name.
         is_child: whether it ever had a transform; otherwise it is known as a parent only.
         is_static: whether its transform holds at every instant; then it has one sample.
         first: position of the earliest sample.
         stamps: stamps of the samples in nanoseconds.
-        parents: the parent frames of the samples.
-        poses: their poses in the parents.
         is_copied: whether other code needs the samples, too.
         copied_until: instant of the last sample that has been copied; -1 if there is none.
     """

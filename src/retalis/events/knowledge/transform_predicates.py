@@ -126,12 +126,10 @@ class Transforms:
     Args:
         logic: the system in which the predicates are defined.
         dispatcher: dispatcher of the events that waiting queries trigger.
-        buffer: the buffer.
         gaps: limit for the time between two samples.
         warn: receives warnings about refused transforms and unknown frames.
 
     Attributes:
-        buffer: the buffer.
         is_required: whether the program reads transforms.
         on_reached: called with the transforms that have become available and the next frame; each returns the frame
             that calls the queries first.

@@ -116,7 +116,6 @@ class PredicateCall(NamedTuple):
     """Call of a predicate that may be undefined.
 
     Attributes:
-        key: functor of the predicate.
         place: position of the call, or None.
         caller: name of the caller, for a call without a place.
         advice: the intended call, if it is known.

@@ -43,7 +43,6 @@ class PatternTableRow(NamedTuple):
     """A row of the table of patterns in the documentation.
 
     Attributes:
-        notation: the notation of the pattern.
         matched: the condition under which it matches.
         interval: the interval of the match.
     """
@@ -60,7 +59,6 @@ class PatternReading(NamedTuple):
     ``R is K`` is replaced by the results and the words of their aggregates, a list S of steps by a line for each.
 
     Attributes:
-        notation: the notation of the pattern.
         words: the words, beginning with the condition under which the pattern matches.
     """
 
@@ -73,7 +71,6 @@ class EventOperator(NamedTuple):
 
     Attributes:
         name: canonical name; the capitalised and the upper-case spellings are equivalent.
-        kind: the kind.
         priority: 1 to 1200; 0 for operators in functional notation only.
         type: the type, as in ``op/3``.
         patterns: for each argument in functional notation, whether it is a pattern.
@@ -95,7 +92,6 @@ class EventOperator(NamedTuple):
         notation: the notation, for operators in functional notation only.
         confused_words: words that are no operators, but are often used in place of this one.
         advice: what to write in place of these words.
-        table_rows: rows of the table of patterns.
         readings: words for readings of rules, for notations that are not in ``table_rows``, or whose words there
             refer to another row. `PatternReading` describes the words.
     """

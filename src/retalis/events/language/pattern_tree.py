@@ -112,12 +112,10 @@ class AggregatePattern(NamedTuple):
     """Pattern that is followed by any number of repetitions of another one, which are aggregated into a result.
 
     Attributes:
-        first: the pattern.
         kind: name of the aggregate function.
         setting: the arguments of the function before the aggregated term: a number, names of predicates, or None.
         value: the aggregated term; None if the function has none.
         collected: the repeated pattern.
-        result: term of the result.
     """
 
     first: "Pattern"
@@ -155,7 +153,6 @@ class RowPatternStep(NamedTuple):
     """Step of a row pattern: a pattern variable of MATCH_RECOGNIZE with its quantifier and its condition.
 
     Attributes:
-        name: the name.
         min_count: minimum number of rows.
         max_count: maximum number of rows; None for no limit.
         reluctant: whether the quantifier is reluctant, that is, prefers fewer rows.
@@ -198,7 +195,6 @@ class WindowSpec(NamedTuple):
         max_length: for ``session``, maximum length of a window in ns, and for ``held``, maximum time in ns for which
             a value lasts; None for no maximum.
         running: whether each match emits a result, not only the end of a window.
-        steps: the steps of a row pattern.
         structure: their order; None if they follow each other.
         navigated_vars: the variables of the pattern that conditions of steps use.
         skip: where the next match of a row pattern begins; None if that is not stated.
@@ -233,13 +229,11 @@ class WindowPattern(NamedTuple):
     """Aggregation of the matches of a pattern that are in a window.
 
     Attributes:
-        collected: the pattern.
         kinds: names of the measures.
         settings: setting of each measure: a term, a tuple of terms, or None.
         values: aggregated value of each measure; None for measures without a value.
         results: term for the result of each measure; if ``is_listed``, one term for the list of all results.
         is_listed: whether the results are unified as one list.
-        window: the window.
         scopes: for each measure the number of the step that it is restricted to, or None.
     """
 
@@ -265,7 +259,6 @@ class RatePattern(NamedTuple):
     """Pattern whose matches pass a rate operator (throttle, burst, debounce, change), keyed by ``keys``.
 
     Attributes:
-        pattern: the pattern.
         operator: name of the operator.
         span: time in ns; 0 if the operator has none.
         value: the value that must change, or None.
@@ -283,7 +276,6 @@ class AbsencePattern(NamedTuple):
     """Pattern that matches if no match of another one lies within ``span`` ns after it.
 
     Attributes:
-        pattern: the pattern.
         negated: the other pattern.
         span: the time in ns, or a variable that a match of the pattern binds to the time in seconds.
     """

@@ -97,7 +97,6 @@ class SkipStrategy(NamedTuple):
     """Strategy of ``after_match`` of a row pattern.
 
     Attributes:
-        notation: its notation.
         words: where the next match begins, in words; S is the step.
     """
 
@@ -128,7 +127,6 @@ class RowNavigation(NamedTuple):
             if there is no such step or distance.
         value: variable of the pattern, for an aggregate also an expression; None for ``count``.
         placeholder: variable that replaces the navigation in the condition.
-        term: its term.
     """
 
     kind: str
@@ -160,7 +158,6 @@ class StepCondition(NamedTuple):
 
     Attributes:
         goal: the goal, with a variable in place of each navigation.
-        navigations: the navigations.
     """
 
     goal: Term

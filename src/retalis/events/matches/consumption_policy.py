@@ -74,7 +74,6 @@ class MatchSide(NamedTuple):
     """One operand of a two-sided node, as seen by a match that arrives at it.
 
     Attributes:
-        own_buffer: buffer of the matches of this operand.
         other_buffer: buffer of the possible partners.
         join: returns the result of an arriving match and a partner, or None if they do not satisfy the join.
         shared: positions of the shared variables, in the values of this operand and of the other one.
@@ -336,7 +335,6 @@ class RetainedMatches(StateOwner):
     """Second operands that are retained in a buffer; if there are too many, the oldest is removed.
 
     Args:
-        buffer: the buffer.
         accepts: returns whether a restored match is one of the operand.
     """
 

@@ -207,7 +207,6 @@ class StartExpirationQueue:
 
     Attributes:
         retention: retention time of most matches after their start, in ns; None if none expire.
-        queue: the matches with that retention time.
         other_queues: the matches with other retention times, by retention time.
         late_heap: the matches that were added out of order.
     """

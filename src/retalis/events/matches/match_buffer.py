@@ -42,7 +42,6 @@ class MatchBuffer:
 
     Args:
         rule: the rule that owns the buffer.
-        shared_positions: positions of the shared variables in the values of a match.
         on_relink: called after the stored matches were linked again, or replaced.
 
     Attributes:

@@ -43,7 +43,6 @@ class MatchStore(StateOwner):
         expiration_queue: stored matches by expiration.
         sweep_threshold: number of stored matches above which `remove_excess` continues to remove matches that are
             ruled out.
-        options: options of the rule.
         blocking_match: the negated match that made the last test of a node fail; None if another test failed.
         tracks_stored: whether `track_stored` is called for each match that is stored.
     """

@@ -69,7 +69,6 @@ class NetworkOptions(NamedTuple):
     """Options of the network: set by flags, and for a rule also by the properties of its label.
 
     Attributes:
-        policy: the consumption policy.
         out_of_order: whether the first operand of a sequence may arrive after the second one.
         tracks_events: whether events are tracked for retraction and explanation.
         emits_revisions: whether the results of a retracted event are retracted, and those that it prevented emitted.

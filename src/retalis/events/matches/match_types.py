@@ -154,11 +154,9 @@ class EventMatch:
     attributes ``values``, ``event``, ``parts``, ``identity`` and ``consumed_by`` cannot be set.
 
     Attributes:
-        values: the arguments of the event.
         start: start of the interval.
         end: end of the interval.
         event: None.
-        term: the event.
         parts: None.
         buffer: the place where the match is stored; None if it is not stored (any more).
         key: its key in that buffer.

@@ -68,7 +68,6 @@ class BuiltPattern(NamedTuple):
     """A node, and properties that the nodes above need.
 
     Attributes:
-        node: the node.
         deferred: conditions below that have not been tested.
         joined_leaves: event nodes whose events complete matches of several events, in the order of dispatch.
         single_leaves: event nodes whose matches are passed on one by one.
@@ -118,7 +117,6 @@ class NegatedPattern:
     therefore receive each event before the others, those of inner negated patterns first.
 
     Args:
-        build: builds the nodes.
         nodes: nodes of the rule, to which the built nodes are added.
         negated_leaves: event nodes of the negated patterns of the rule, to which those of this pattern are added.
     """

@@ -170,9 +170,7 @@ class Arrivals(NamedTuple):
     """Stored matches of a rule in order of arrival.
 
     Attributes:
-        matches: the matches.
         buffer_numbers: positions of their buffers among those of all nodes; -1 for a sequence in a run group.
-        orders: their orders.
     """
 
     matches: List[PartialMatch]

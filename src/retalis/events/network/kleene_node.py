@@ -270,8 +270,6 @@ class KleeneNode(KleeneValues):
 
     Args:
         rule: the rule that it belongs to.
-        first: node of P.
-        repeated: node of Q.
         shares_events: whether one event may be in both.
         has_instants: whether P or Q contains instants of matches, so that one event could be both.
         identity_functions: functions that return the identity of the matches of P and of Q.

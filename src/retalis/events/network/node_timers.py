@@ -191,7 +191,6 @@ class RuleAlarm:
 
     Args:
         rule: the rule that has set the alarm.
-        term: the event.
         start: start of the event's interval.
         instant: end of the interval, at which the event is emitted.
         token: occurrence of the event if lineage is tracked.

@@ -307,7 +307,6 @@ class BoundedNode(NamedTuple):
     """Node of a rule with its bounds.
 
     Attributes:
-        node: the node.
         span: interval bound in ns; None for no bound.
         retention: retention times of the matches below it.
     """
@@ -560,7 +559,6 @@ class OrNode(NetworkNode):
     """Emits the matches of all branches; variables of the other branches remain unbound.
 
     Args:
-        children: the nodes of the branches.
         shared_vars: variables that occur more than once in the rule.
         match_counts: numbers of the matches of the branches, which are incremented; None to count none.
     """

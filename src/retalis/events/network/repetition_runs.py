@@ -233,7 +233,6 @@ class RunGroup:
 
     Attributes:
         node: the node that they belong to.
-        key: their values.
         cursors: the sequence with ``length`` repetitions is at index ``length - 1``; None and removed sequences are
             gaps.
         end: end of the last repetition.

@@ -115,7 +115,6 @@ class RuleCompiler(StreamCompiler):
     Args:
         rule: the rule at run time.
         head: the head of the rule in a list; empty for a rule without a head.
-        pattern: the pattern.
 
     Attributes:
         nodes: all nodes with their bounds.

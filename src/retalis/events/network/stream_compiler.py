@@ -116,7 +116,6 @@ class AggregatedExpression(NamedTuple):
 
     Attributes:
         kind: name of the aggregate.
-        term: the expression.
     """
 
     kind: str

@@ -143,7 +143,6 @@ class ReceivedElement(NamedTuple):
     """An element that an operator has received.
 
     Attributes:
-        channel: its channel.
         element: the element as it was received.
         instant: the present instant then, in ns.
     """
@@ -172,7 +171,6 @@ class Replay(StateOwner):
     """Log of the elements that an operator has received and of its outputs, to run it again after a retraction.
 
     Args:
-        create_operator: creates the operator.
         operator_state: its state so far, which is final; None if it is new.
     """
 
@@ -378,8 +376,6 @@ class StreamNodeSpec(NamedTuple):
     """Specification of a node: functions that make elements from matches, and matches from outputs.
 
     Attributes:
-        create_operator: creates the operator for the options of the network.
-        key_and_values: returns the key and the values of an element from the values of a match.
         build_match_values: builds the values of a match; None if the node emits the matches that it received.
         uses_clock: whether the operator needs the present time of the clock with each element.
         late_report: text of reports about elements that arrive too late.

@@ -101,7 +101,6 @@ class FileEntry(NamedTuple):
     """An entry that takes effect when the file is accepted.
 
     Attributes:
-        kind: its effect.
         term: the clause, goal, `Property` or name of a file.
         place: place in the source.
         goals: goals of a directive with their places.

@@ -20,7 +20,6 @@ class Flag(NamedTuple):
     """A flag with its default and its values: names, or numbers if there is a description of these, or both.
 
     Attributes:
-        default: default value.
         values: permitted names.
         description: description of the permitted numbers for error messages.
         minimum: minimum of the numbers; the default may be less.

@@ -56,8 +56,6 @@ class StoredTimer(NamedTuple):
     """Stored form of a `ProgramTimer`.
 
     Attributes:
-        event: its event.
-        schedule: term of its schedule.
         instant: its next instant in ns; None if it waits for the first time of the clock.
         alarm_instant: instant of its alarm in the clock.
         order: order of the alarm.

@@ -97,7 +97,6 @@ class RuleBase(StateOwner):
 
     Args:
         logic, dispatcher, clock, on_error, on_warning: see `NetworkContext`.
-        files: files of the program.
         is_external_event: returns whether events of a functor come from outside the program without a declaration.
 
     Attributes:
@@ -105,7 +104,6 @@ class RuleBase(StateOwner):
         network: the context of the rules.
         on_reset: called if a goal drops partial matches, with True if stored events are dropped, too.
         flags: the flags of ``set_etalis_flag/2``.
-        declared_events: declared events.
         serial: serial number of the newest rule; rules fire in the order of their serial numbers.
         fired_by_deleted_rules: number of complete matches of deleted rules.
     """

@@ -370,7 +370,6 @@ class NotPrecededFilter(StreamOperator):
     Args:
         span: the time in ns.
         max_length: longest element, in ns; 0 if unknown.
-        correlation: correlation of elements and forbidden elements.
     """
 
     STATE = StateFields(

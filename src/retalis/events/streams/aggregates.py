@@ -194,7 +194,6 @@ class Accumulator:
 
     Attributes:
         index: index of the aggregated value in `StreamElement.values`.
-        name: name of the aggregate.
         setting: see `Setting`.
         value_rule: the values that the aggregate accepts.
         accepts_arrays: whether arrays are accepted as well as numbers.
@@ -930,9 +929,6 @@ class SequenceAggregate:
     """Aggregate over the repeated events of one rule: the function, and the access to the value in a match.
 
     Args:
-        name: name of the function.
-        setting: its setting.
-        build_value: returns the aggregated term from the values of a match.
         evaluate: returns the number that an arithmetic expression has with the values of the match.
     """
 

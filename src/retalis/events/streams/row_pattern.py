@@ -107,7 +107,6 @@ class StepClassifier(NamedTuple):
     """Names of steps as measured values (CLASSIFIER).
 
     Attributes:
-        names: terms of the names of the steps.
         positions: indices in `StreamElement.values` of the values that are names.
     """
 
@@ -147,9 +146,7 @@ class ComputationState:
         step: position of the step of the last element.
         count: number of elements of that step, capped by `RowPatternNFA.capped_count`.
         remaining_steps: after a skipped element, the positions that can still accept one; otherwise None.
-        targets: elements of the navigations.
         totals: states of the aggregates.
-        matched: elements of the match.
         start_order: order of its first element.
         start_time: start of the first element in ns.
     """
@@ -221,7 +218,6 @@ class StoredPartition(NamedTuple):
 
     Attributes:
         reference_time: the clock at its last element.
-        elements: its elements.
         states: its computation states in order of preference.
         completed: assignments of the waiting matches in the order of their starts.
     """

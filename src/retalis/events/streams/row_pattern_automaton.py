@@ -108,7 +108,6 @@ class StepAggregate(NamedTuple):
     """Aggregate of conditions, over the elements of a step or of the match so far.
 
     Attributes:
-        function: the aggregate function.
         step: number of the step, or `WHOLE_MATCH`.
         position: index of the aggregated value in `StreamElement.values`; None if it has none.
     """
@@ -142,8 +141,6 @@ class TestedAggregate(NamedTuple):
     """Use of an aggregate by a condition.
 
     Attributes:
-        number: number of the aggregate.
-        aggregate: the aggregate.
         includes_current: whether the element that is tested counts.
     """
 
@@ -321,8 +318,6 @@ class RowPatternNFA:
         variables: the steps.
         steps: step of each position.
         step_numbers: number of the step of each position.
-        navigations: the navigations.
-        aggregates: the aggregates.
         initial_totals: states of the aggregates before the first element.
     """
 

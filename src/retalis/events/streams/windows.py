@@ -56,7 +56,6 @@ class KeyedWindow:
     Attributes:
         elements: the elements in order of arrival; those that were removed may remain between others.
         removed_count: number of these that were removed; 0 as long as elements arrive in order.
-        measures: the accumulators.
         checked_measures: the accumulators that reject some values, see `Accumulator.check`.
         reference_time: instant from which its time counts: the clock at the last element, or the end of the first
             element for windows that start with an element.
@@ -187,7 +186,6 @@ class OpenWindow(NamedTuple):
     """A window of a key that has elements and has not ended.
 
     Attributes:
-        key_values: values of the key.
         element_count: number of its elements.
         start: start of the window, or of its elements if it has no fixed interval, in ns.
         end: end of the window in ns; None if its number of elements ends it.

@@ -144,7 +144,6 @@ class _Selection(NamedTuple):
     """Elements of an array that options select.
 
     Attributes:
-        values: the elements.
         mask: for each element of the array whether it is selected; None for all.
         count_terms: terms that are unified with the number of elements that were left out.
         skipped_count: that number.

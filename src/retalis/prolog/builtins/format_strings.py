@@ -160,7 +160,6 @@ class Formatter:
     """Interpreter of a format string.
 
     Args:
-        machine: the machine of the program.
         column: current column of the output.
     """
 

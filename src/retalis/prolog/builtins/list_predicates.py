@@ -420,7 +420,6 @@ class _Merge:
         call: the predicate and the first arguments of the comparison goal.
         first: the first list.
         position: number of merged items of the first list.
-        second: the second list.
         second_position: number of merged items of the second list.
         merged: the items merged so far.
         result: the term that is unified with the merged list.

@@ -137,7 +137,6 @@ class Consumer(NamedTuple):
     Attributes:
         position: number of answers that it has returned.
         free_vars: unbound variables of the call.
-        continuation: its continuation.
         bindings: variables bound since the evaluation of the active table began, with their values; None if the call
             cannot be suspended.
         height: size of the stack of choice points at the suspension; cuts in the continuation depend on it.

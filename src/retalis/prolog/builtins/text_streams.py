@@ -56,7 +56,6 @@ class InputStream:
     Attributes:
         offset: position in ``text``.
         opening_name: name by which ``see/1`` or ``tell/1`` opened it.
-        stream_term: the stream term.
         stream_type: ``text`` or ``binary``.
         eof_action: action for a read past the end: ``error``, ``eof_code`` or ``reset``.
         has_read_end: whether the end of the stream has been read.
@@ -294,9 +293,7 @@ class OutputCapture:
 
     Attributes:
         texts: parts of the captured text.
-        replaced_output: the output that it has replaced.
         stream_output: the output that the stream set before had replaced; None if none was set.
-        stream_term: its stream term.
     """
 
     mode = "append"
@@ -336,7 +333,6 @@ class ProgramStreams:
         open_streams: streams by the numbers in their stream terms.
         aliases: numbers of streams by their aliases.
         user_input: the standard input.
-        input: the current input.
         output: the stream that is the current output; None for the user's output or a capture.
     """
 

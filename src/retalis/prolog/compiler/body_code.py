@@ -51,7 +51,6 @@ class BodyGenerator:
 
     Args:
         unit: receives the generated functions.
-        clause: variables of the clause.
         entry: height of the choice point stack at entry, the target of the clause's cuts.
         interpret: the code that runs a body from its term.
         title: name of the continuations in tracebacks.

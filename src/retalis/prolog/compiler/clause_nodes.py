@@ -290,7 +290,6 @@ class CallNode(GoalNode):
 
     Attributes:
         form: name of the code that is written for it, a key of ``inline_goals._WRITERS``; "call" for a frame.
-        key: functor of the predicate.
         args: arguments of the call.
         first_is_enough: for a call of a function (form "function"), whether the first solution is enough.
     """

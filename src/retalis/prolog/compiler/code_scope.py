@@ -225,7 +225,6 @@ class Loop(NamedTuple):
 
     Attributes:
         key: functor of the predicate.
-        argument_names: names of its arguments.
         next_iteration: statement that starts the next iteration; "" if the end of the block does.
         base_case: position of an argument and a constant for which another iteration would only succeed; None if
             there is none.

@@ -313,7 +313,6 @@ class PredicateGenerator:
 
     Args:
         database: the predicates, with their machine.
-        key: functor of the predicate.
         clauses: its clauses in order.
         code: the code object that runs its calls.
         unbound: positions of arguments that are known to be unbound.

@@ -68,7 +68,6 @@ class GoalGenerator:
 
     Args:
         database: the predicates that it may call.
-        term: the goal.
         inputs: variables that get values, by position.
         outputs: terms whose values are returned, by position.
         place: source position of the goal, or None.
@@ -236,7 +235,6 @@ class CompiledGoal:
 
     Args:
         database: the predicates that it may call.
-        term: the goal.
         inputs: variables that get values, by position.
         outputs: terms whose values are returned, by position.
         place: source position of the goal, or None.

@@ -53,7 +53,6 @@ class Control:
     """Interpreter of goal terms on the machine of a database.
 
     Attributes:
-        machine: the machine.
         code: code of frames ``(code, goal, height, next)`` that run a goal from its term.
         bodies: the bodies that are compiled while they run.
     """

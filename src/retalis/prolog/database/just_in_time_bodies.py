@@ -32,7 +32,6 @@ class CompiledBody(NamedTuple):
 
     Attributes:
         run: the compiled code, a step of a frame with the values of the variables.
-        variables: the variables of the body.
         body: the body itself, which keeps its ``id`` in use.
     """
 

@@ -145,7 +145,6 @@ class Module:
     """Module of a program.
 
     Attributes:
-        name: the name.
         name_atom: the name as an atom, which qualifies goals.
         exports: predicates that other modules call by their plain names.
         shadowed_exports: exported predicates whose plain names another module exports already.

@@ -84,7 +84,6 @@ class Database:
             interpreted.
         predicates: the predicates by functor.
         empty_dynamic: functors that goals have made dynamic and whose predicates have been demoted, oldest first.
-        modules: the modules of the program.
         library: the predicates as the clauses of the library resolve them.
         compiled_goals: the compiled goals that Python code holds. Their code is discarded together with that of the
             predicates.

@@ -181,7 +181,6 @@ class MachineState(NamedTuple):
     Attributes:
         height: height of the choice point stack.
         mark: length of the trail.
-        budget: state of the budget.
     """
 
     height: int

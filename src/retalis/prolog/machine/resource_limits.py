@@ -154,7 +154,6 @@ class LimitError(PrologError):
     Attributes:
         is_final: whether no program can catch the error.
         budget: the budget that has the limit; None for a limit that a program has set for a call.
-        limit_name: name of the exceeded limit.
         was_refused: whether the goal was not started. The budget counts and reports such goals.
     """
 

@@ -289,7 +289,6 @@ class Callbacks(List[Callable[[int], int]]):
 
     Args:
         engines: engines by their numbers in SWI-Prolog.
-        current_engine_number: returns the number of the calling engine.
         raise_unknown_engine: raises an error in a goal that belongs to no program.
     """
 

@@ -162,7 +162,6 @@ class SwiEngine:
 
     Attributes:
         limited_goal: the running goal, if it has limits.
-        number: number of the engine in SWI-Prolog.
         limited_predicate: handle of the predicate of the bridge that calls a goal with an inference limit.
     """
 

@@ -49,8 +49,6 @@ class ImportedPredicate(NamedTuple):
     """A predicate of SWI-Prolog.
 
     Attributes:
-        name: its name in SWI-Prolog.
-        arity: its arity.
         key: the functor by which the program calls it.
     """
 

@@ -69,7 +69,6 @@ class MessageSlot(NamedTuple):
     """A slot of a message.
 
     Attributes:
-        name: the name.
         type: the type, as error messages show it.
         message_functor: functor name of the nested message; empty if the type is not a message type.
         is_array: whether it is an array.
@@ -89,7 +88,6 @@ class MessageNotation(NamedTuple):
     """The notation of a message.
 
     Attributes:
-        functor: the functor of the message.
         named_slots: numbers of the named slots, in their written order.
         is_constructed: whether the message is constructed, so that the other slots have default values.
         integer_slots: numbers of the float slots that were written as integers.
@@ -145,7 +143,6 @@ class ParsedMessage(NamedTuple):
     """A message with named slots as it was read.
 
     Attributes:
-        term: the message.
         named_slots: numbers of the named slots.
         default_values: the variables of the other slots, with the values that they get in a constructed message.
         integer_slots: numbers of the float slots that were written as integers.

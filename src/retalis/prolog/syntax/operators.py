@@ -50,7 +50,6 @@ class OperatorChange(NamedTuple):
     Attributes:
         priority: 1 to 1200; 0 if the operator is removed.
         type: see `Operator`.
-        name: its name.
     """
 
     priority: int

@@ -56,7 +56,6 @@ class WaitingOperator:
         start: offset of its name.
         table: the operator table that applied before it.
         left: left argument of an infix operator.
-        left_offset: offset of the left argument.
     """
 
     __slots__ = ("limit", "kind", "operator", "start", "table", "left", "left_offset")

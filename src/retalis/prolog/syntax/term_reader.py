@@ -295,7 +295,6 @@ class ReadTerm:
     """A term that was read, with its variable names and positions.
 
     Attributes:
-        term: the term.
         names: variables by name, in order of appearance, without ``_``.
         singletons: names that occur once and do not begin with ``_``.
         offset: offset of the term in the text.

@@ -58,7 +58,6 @@ class Source:
 
     Args:
         name: the name in error messages.
-        text: the text.
         first_line: number of the first line, if the text is a part of a longer one.
     """
 

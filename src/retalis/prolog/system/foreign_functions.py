@@ -64,7 +64,6 @@ class _ForeignSpec(NamedTuple):
     """Properties of the predicate of a function, stored with the function.
 
     Attributes:
-        name: name of the predicate.
         output_count: number of output arguments.
         converters: for each parameter, the conversion of a term to its argument.
         is_generator: whether the function is a generator.

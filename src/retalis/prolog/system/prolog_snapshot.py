@@ -71,8 +71,6 @@ class StoredClause(NamedTuple):
     """Clause of a predicate.
 
     Attributes:
-        head: its head.
-        body: its body.
         place: its place in a file, or None.
     """
 
@@ -139,7 +137,6 @@ class ProgramSnapshot(NamedTuple):
         operators: priority, type and name of each operator that differs from the standard ones, see
             `Operators.changes`.
         table_declarations: declarations of tabled predicates.
-        predicates: predicates of the program.
         observed_predicates: predicates whose clauses incremental tables depend on.
         empty_dynamic: functors without clauses that goals have made dynamic.
     """
@@ -173,7 +170,6 @@ class ValuesSnapshot(NamedTuple):
 
     Attributes:
         flags: Prolog flags.
-        global_variables: values of the global variables.
         column: column of the output at which the next text is printed.
         builtin_state: data of built-in predicates by key: counters, flags of the event language, and modules.
         table_answers: known answers of tabled predicates; those of incremental tables are computed again.
