@@ -564,7 +564,6 @@ class _RunPrinter:
 
 
 def _select_output_format(options: argparse.Namespace) -> SerializationFormat:
-    """Return the serialization of the outputs in the bag of option ``--output``."""
     is_ros2 = options.output is not None and options.output.endswith(MCAP_SUFFIX)
     return SerializationFormat.CDR if is_ros2 else SerializationFormat.ROS1
 
@@ -709,7 +708,6 @@ def _play_bag(task: BagTask, scratch: str) -> Tuple[BagOutcome, List[str]]:
 def _play_to_file(
     result: str, bags: MergedBag, options: argparse.Namespace, task: BagTask, reporter: StderrReporter
 ) -> PlayedRun:
-    """Play an open bag into a file."""
     with ExitStack() as stack:
         if task.format in BAG_FORMATS:
             # The recording has the outputs, so they are not printed.

@@ -187,7 +187,6 @@ def _create_tasks(
 
 
 def _run_tasks(options: argparse.Namespace, tasks: Sequence[_ComparisonTask]) -> List[_BagResult]:
-    """Return the results in the order of the bags."""
     # Worthwhile if a bag is downloaded, or the programs would be loaded for each of several bags.
     if (
         not options.full

@@ -459,7 +459,6 @@ class Session:
         return frame
 
     def _call_reporting_errors(self, function: Callable[..., object], *arguments: object) -> None:
-        """Call ``function`` with the arguments, and report its errors."""
         try:
             function(*arguments)
         except ProgramErrors as errors:

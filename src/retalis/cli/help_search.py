@@ -276,7 +276,6 @@ def docs_folder() -> Optional[Path]:
 
 
 def _section_entries(page: str, text: str) -> Iterator[HelpEntry]:
-    """Yield an entry for each section of a page."""
     factor = _GUIDE_FACTOR if page.startswith("how-to/") else 1.0
     page_title = ""
     for heading, body in _sections(text):

@@ -140,7 +140,6 @@ def _listen_on_free_port(port: int, port_count: int) -> socket.socket:
 
 
 def _bind_socket(port: int) -> socket.socket:
-    """Return a socket that listens on a port."""
     server_socket = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
     try:
         # A port with connections in state TIME_WAIT can be bound again after a restart of the program.

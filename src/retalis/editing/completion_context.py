@@ -118,7 +118,6 @@ def _ends_in_comment(prefix: str, end: int) -> bool:
 
 
 def _context_after(clause: List[AnyToken]) -> CompletionContext:
-    """Return the context after the tokens of an unfinished clause."""
     brackets: List[_UnclosedBracket] = []
     variables: List[str] = []
     for position, (kind, value, start, _) in enumerate(clause):

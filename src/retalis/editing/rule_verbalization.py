@@ -85,7 +85,6 @@ def _make_rows(readings: Iterable[Tuple[str, str]]) -> List[_TableRow]:
 
 @lru_cache(maxsize=1)
 def _pattern_rows() -> List[_TableRow]:
-    """Return the rows of patterns."""
     readings: List[Tuple[str, str]] = [
         reading for operator in EVENT_OPERATORS for reading in operator.readings
     ]
@@ -106,7 +105,6 @@ def _aggregate_rows(is_held: bool) -> List[_TableRow]:
 
 @lru_cache(maxsize=1)
 def _head_rows() -> List[_TableRow]:
-    """Return the rows of heads."""
     return _make_rows(HEAD_READINGS)
 
 

@@ -285,7 +285,6 @@ def _kind_in_argument(use: NameUse, parent: Tuple[str, int]) -> Optional[SymbolK
 
 
 def _defines(use: NameUse, symbol: ProgramSymbol, marks: _ClauseMarks, is_goal: bool) -> bool:
-    """Return whether a use defines its symbol."""
     parent = use.parent
     if symbol.kind is SymbolKind.LABEL:
         return use.position < marks.label
@@ -363,7 +362,6 @@ def _uses_in_element(element: _TopicElement) -> Iterator[SymbolUse]:
 
 
 def _elements(text: str) -> Iterator[_TopicElement]:
-    """Yield the elements of topics."""
     for element in _XML_ELEMENT.finditer(text):
         if element[1] not in ATTRIBUTES:
             continue

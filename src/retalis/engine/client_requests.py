@@ -286,7 +286,6 @@ def delete_rule(engine: Engine, label: str) -> None:
 
 
 def _parse_label(engine: Engine, text: str) -> Term:
-    """Parse a label."""
     if not text.strip():
         raise UsageError("label: expected an atom, found an empty text")
     label_term = deref(read_term(text, engine.operators, "label").term)
@@ -300,5 +299,4 @@ def _make_label(number: int) -> Term:
 
 
 def _strip_properties(label: Any) -> Term:
-    """Return a label without its properties."""
     return label if isinstance(label, Atom) else atom(label[0].name)

@@ -382,7 +382,6 @@ class EngineSnapshot:
         )
 
     def _stored_program(self, numbered_rules: List[EventRule]) -> StoredProgram:
-        """Return section ``program``."""
         logic, knowledge = self._program.logic, self._program.knowledge
         return StoredProgram(
             rules=stored_rules(self._program.rules, numbered_rules),

@@ -154,7 +154,6 @@ class ProgramLoader:
         self.call_goals(read_text(path), str(path), folder)
 
     def _call_file_goal(self, goal: FileGoal) -> bool:
-        """Call a goal of a goal file."""
         budget = self.program.logic.machine.budget
         # The watchdog names this entry, with its place in the file, if the goal takes long.
         self._executor.replace_entry(goal)

@@ -230,7 +230,6 @@ class WhyNotHappened:
         ]
 
     def _find_events_with_name(self, event: Term) -> List[ExplanationLine]:
-        """Return events of the same name that happened."""
         name = functor_name(deref(event))
         texts: Dict[str, None] = {}
         for occurrence in self._occurrences:

@@ -570,7 +570,6 @@ class WhyNotMatched:
         return copy(values) if unify(values, copy(second.values), []) else None
 
     def _instantiate(self, values: Term, term: Term) -> Term:
-        """Return a copy of a term with the values of a match."""
         trail: Trail = []
         try:
             unify(self._rule_variables, copy(values), trail)

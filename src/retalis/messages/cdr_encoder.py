@@ -50,7 +50,6 @@ _packed_plain_texts = PackedTexts(_pack_text, plain_text_bytes, 2048, 1 << 20, 1
 
 
 def _serialize_wide(term: Term, read_bytes: Callable[[Term], Optional[bytes]] = text_bytes) -> bytes:
-    """Return the serialized wide string of a term."""
     encoded_bytes = read_bytes(term) if term.__class__ is Atom else raw_bytes(term)
     if encoded_bytes is None:
         raise UnusualForm

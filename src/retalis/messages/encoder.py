@@ -669,7 +669,6 @@ def _fill_list(slot: Field, element: Field, value: Any) -> Term:
 
 
 def _create_default_value(slot: Field) -> Term:
-    """Return a value that fits a slot."""
     if slot.length is not None:
         count = 0 if slot.length == VARIABLE_LENGTH else slot.length
         return make_list([_create_default_value(slot._replace(length=None))] * count)

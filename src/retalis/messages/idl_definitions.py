@@ -212,7 +212,6 @@ def _find_offset(node: Any) -> Optional[int]:
 
 @lru_cache(maxsize=1)
 def _make_parser() -> Any:
-    """Return the parser of the grammar."""
     from lark import Lark  # noqa: PLC0415 - slow, and few bags have definitions in IDL
 
     return Lark(
@@ -363,7 +362,6 @@ class _TypeDescriber:
         return texts
 
     def _name_type(self, path: _ScopePath) -> str:
-        """Return the name ``pkg/Type`` of a scoped name."""
         if len(path) == 3:
             name = ros1_type_name("/".join(path))
             if name.count("/") == 1:

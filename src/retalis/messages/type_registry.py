@@ -331,7 +331,6 @@ def _list_type_names(folder: str) -> Iterator[str]:
 
 
 def _list_packages_with_messages(folder: str) -> Iterator[str]:
-    """Yield the packages in a folder that have messages."""
     for name in _list_names(folder):
         if os.path.isdir(os.path.join(folder, name, "msg")):
             yield name

@@ -620,7 +620,6 @@ class Diagnostics:
                 self._reports.error(RetalisError(f"{DIAGNOSTICS_TOPIC}: {error!r}"), DIAGNOSTICS_TOPIC)
 
     def _make_message(self, healths: List[Health]) -> Dict[str, Any]:
-        """Return the values of a message."""
         node = self._transport.node_name.strip("/")
         return {
             "header": {"stamp": self._transport.now()},

@@ -442,7 +442,6 @@ class ListService:
 
 
 def _describe_engine(status: Status) -> Response:
-    """Return the fields of a response for an engine."""
     response: Response = {
         "now": _limit_time(status.now),
         "rules": [rule._replace(last_fired=_limit_time(rule.last_fired))._asdict() for rule in status.rules],

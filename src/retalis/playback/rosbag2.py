@@ -282,7 +282,6 @@ class _Types:
         return _make_topic(connection, cached_definition, SerializationFormat.CDR)
 
     def _find_definition(self, connection: Connection) -> str:
-        """Return the text of the type of a connection."""
         if connection.definition.strip():
             return connection.definition
         definition = self._find_text(ros1_type_name(connection.type))

@@ -237,7 +237,6 @@ class RunTable:
         self._write_row({"kind": next(iter(record)), **record}, topic, data)
 
     def _open(self, columns: List[TableColumn]) -> None:
-        """Open the file."""
         raise NotImplementedError
 
     def _write_row(self, row: Dict[str, Any], topic: str, data: Optional[bytes]) -> None:
@@ -340,7 +339,6 @@ class ParquetTable(RunTable):
         self._writer = self._parquet.ParquetWriter(self._file, self._schema)
 
     def _find_type(self, column: TableColumn) -> Any:
-        """Return the Arrow type of a column."""
         if column.fields:
             element = self._arrow.struct([(field.name, self._find_type(field)) for field in column.fields])
         else:
@@ -573,7 +571,6 @@ _PLAIN_VALUES: Dict[str, Callable[[Any], Any]] = {
 
 
 def _quote(text: str) -> str:
-    """Return a text as a quoted cell."""
     return '"' + _as_unicode(text).replace('"', '""') + '"'
 
 

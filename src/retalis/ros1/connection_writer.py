@@ -158,7 +158,6 @@ class TopicWriter:
                 self._close_connection(connection, error)
 
     def _close_connection(self, connection: Any, error: Exception) -> None:
-        """Close a connection that has ended."""
         rospy.logdebug("a connection of %s has ended: %s", self.publisher.name, error)
         try:
             connection.close()

@@ -195,7 +195,6 @@ class TextInterfaceNode:
 
 
 def _input_role(topic: str) -> InputRole:
-    """Return the role of a topic in the program."""
     return InputRole.LINK if topic == resolve(OUTPUT) else InputRole.NEEDED
 
 

@@ -171,6 +171,5 @@ def _is_instant(value: Any) -> bool:
 
 
 def _element_class(sequence_type: str) -> Any:
-    """Return the class of the elements of ``sequence<pkg/Type>``."""
     package, _, type_name = sequence_type[len("sequence<") :].partition(">")[0].partition("/")
     return getattr(import_module(f"{package}.msg"), type_name)

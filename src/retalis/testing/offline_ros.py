@@ -128,7 +128,6 @@ def _split_name(name: str) -> List[str]:
 
 
 def _nest_parameters(parameters: Sequence[Tuple[str, Any]]) -> Mapping[str, Any]:
-    """Return parameters as nested dictionaries."""
     nested: Dict[str, Any] = {}
     for name, value in parameters:
         *path, last = _split_name(name) or [""]

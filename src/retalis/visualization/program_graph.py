@@ -389,7 +389,6 @@ def _get_functor(term: Term) -> Optional[Functor]:
 
 
 def _get_predicate_name(goal: Term) -> str:
-    """Return the name of the predicate that a goal calls."""
     key = _get_functor(goal)
     return "query" if key is None else key.name
 
@@ -568,7 +567,6 @@ def _format_first_lines(node: GraphNode) -> List[str]:
 
 
 def _format_further_lines(node: GraphNode) -> List[str]:
-    """Return the further lines of a node."""
     if node.kind == "event" and "__0__" in node.label:
         return [node.label.rpartition("__0__")[0]]
     if node.kind != "rule":

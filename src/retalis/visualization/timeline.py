@@ -444,7 +444,6 @@ def _escape_formulas(text: str) -> str:
 
 
 def _label_rows(axes: Any, names: List[str], **style: Any) -> None:
-    """Label each row with a name."""
     axes.set_ylim(len(names) - 0.4, -0.6)
     axes.set_yticks(range(len(names)))
     axes.set_yticklabels(names, **style)

@@ -81,7 +81,6 @@ def _events_sufficient_for(pattern: Pattern) -> Iterator[Term]:
 
 
 def _indices_by_event(edges: List[_TriggerEdge]) -> Dict[Optional[Functor], List[int]]:
-    """Return the indices of the edges that begin at each functor."""
     indices: Dict[Optional[Functor], List[int]] = {}
     for index, edge in enumerate(edges):
         indices.setdefault(key_of(edge.event), []).append(index)

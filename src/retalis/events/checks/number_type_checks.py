@@ -231,7 +231,6 @@ def _compare_numbers(
 def _find_numeric_variables(
     program: ProgramModel, events: List[Subterm], created_keys: Set[Optional[Functor]]
 ) -> Dict[Var, _NumberSlot]:
-    """Return the variables of events that are numeric slots."""
     slots: Dict[Var, _NumberSlot] = {}
     for event in events:
         for subterm, definition in _find_input_messages(program, event, created_keys):

@@ -203,7 +203,6 @@ class PatternTransfer:
 
 
 def _parts_of(pattern: Pattern) -> _PatternParts:
-    """Return the parts of a pattern."""
     parts = _PatternParts([], [], [])
     unvisited: List[Pattern] = [pattern]
     while unvisited:

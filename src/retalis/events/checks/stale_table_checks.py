@@ -249,7 +249,6 @@ def _data_read_by_goal(
 
 
 def _callers_by_predicate(program: ProgramModel) -> Dict[Functor, List[Functor]]:
-    """Return the callers of each predicate."""
     callers: Dict[Functor, List[Functor]] = {}
     for clause in program.clauses:
         head_key = key_of(clause.head)

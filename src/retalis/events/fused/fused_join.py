@@ -412,7 +412,6 @@ class _OperandGenerator(_ActionGenerator):
         ]
 
     def _interval_condition(self) -> str:
-        """Return the condition on the intervals of a pair."""
         interval_tests = [
             f"({self._with_instants(comparison)})" for comparison in self.pair.operator.comparisons
         ]
@@ -469,7 +468,6 @@ class _OperandGenerator(_ActionGenerator):
         ]
 
     def _emit_statements(self) -> List[Statement]:
-        """Return statements that emit a pair."""
         if self.pair.complete is not None:
             return [_RETURN_COMPLETE]
         operands = ["match", "partner"] if self.side.is_left else ["partner", "match"]

@@ -410,7 +410,6 @@ class Subscriptions(StateOwner):
         subscription_id: Term,
         rate_limiter: Optional[OutputRateLimiter],
     ) -> EventAction:
-        """Return the action for the events of a subscription."""
         deliver, is_ground_context = self._deliver, self._dispatcher.ground
 
         def send(term: Term, values: Values, start: int, end: int, frame: Frame) -> Frame:

@@ -192,7 +192,6 @@ def _dynamic_predicates(terms: List[Term]) -> Set[Functor]:
 
 
 def _denoted_predicates(term: Term) -> Set[Functor]:
-    """Return the functors of the predicates or clauses that a term denotes."""
     heads: Set[Functor] = set()
     stack = [term]
     while stack:

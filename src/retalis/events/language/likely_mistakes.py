@@ -251,7 +251,6 @@ def _parts_of_repetition(sequence: CompoundTerm) -> List[Term]:
 
 
 def _parts_without_parentheses(sequence: CompoundTerm, place_of: Callable[..., Any]) -> List[Term]:
-    """Return the parts of a sequence without parentheses."""
     parts: List[Term] = []
     node: Any = sequence
     while _operator_name(node) == "seq" and not _is_goal_or_run(deref(node[2])):

@@ -501,7 +501,6 @@ _SCOPE_NUMBERS = {NegationScope.BEFORE: 0, NegationScope.BETWEEN: 1, NegationSco
 
 
 def _variable_occurrences(term: Term) -> List[Var]:
-    """Return all occurrences of variables in a term."""
     all_occurrences: List[Var] = []
     stack = [term]
     while stack:

@@ -374,7 +374,6 @@ def _is_group(term: Any) -> bool:
 
 
 def _parse_step(reader: "PatternReader", term: Any, row_pattern_term: CompoundTerm) -> RowPatternStep:
-    """Return the step that a term denotes."""
     unwrapped, skips_rows = term, False
     goal: Optional[Term] = None
     while unwrapped.__class__ is tuple and unwrapped[0] in (_LATER, _WHERE):
@@ -642,12 +641,10 @@ def row_pattern_term(window: WindowSpec) -> Term:
 
 
 def _parts_term(group: StepGroup, steps: Sequence[RowPatternStep]) -> Term:
-    """Return the list of the parts of a group."""
     return make_list([_part_term(part, steps) for part in group.parts])
 
 
 def _part_term(part: PatternPart, steps: Sequence[RowPatternStep]) -> Term:
-    """Return the term of a step or of a group of steps."""
     if isinstance(part, int):
         return step_term(steps[part])
     if part.kind == PERMUTATION:

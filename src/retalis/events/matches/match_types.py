@@ -571,7 +571,6 @@ def unify_values(left: Values, right: Values) -> Optional[Values]:
 
 
 def _rename_variables(values: Values) -> Values:
-    """Return values with new variables."""
     new_vars: Dict[Var, Term] = {}
     return tuple([copy(value, new_vars) for value in values])
 

@@ -174,7 +174,6 @@ class NegationBuffer:
         self.frontiers: Dict[Hashable, _Frontier] = {}
 
     def _create_buffer(self, shared_positions: Tuple[int, ...]) -> MatchBuffer:
-        """Return the buffer of the negated matches."""
         return MatchBuffer(self.rule, shared_positions, self._drop_frontiers)
 
     def _partner_bounds(self) -> IntervalBounds:

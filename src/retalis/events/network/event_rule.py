@@ -190,8 +190,6 @@ MATCH_BYTES = 930
 
 
 def _name_rule(definition: RuleDefinition, logic: "PrologSystem") -> str:
-    """Return the name of a rule."""
-
     def show(term: Term) -> str:
         # Variables of a rule that was added at run time have no names; numbered ones would differ in each message.
         names = {**dict.fromkeys(variables(term), "_"), **definition.names}

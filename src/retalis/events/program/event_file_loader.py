@@ -360,7 +360,6 @@ class EventFileLoader:
         state: _ReadingState,
         outer_program: Optional[Program] = None,
     ) -> None:
-        """Read the terms of an included file."""
         try:
             path = self._files.find(name)
             text = self._files.text(path)

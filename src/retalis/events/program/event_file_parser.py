@@ -597,7 +597,6 @@ def _predicate_of(term: Term) -> Optional[Functor]:
 
 
 def _predicates_declared_by(goal: Term) -> Set[Functor]:
-    """Return the predicates that a directive declares."""
     goal = deref(goal)
     if goal.__class__ is not tuple or goal[0] not in _DECLARING_PREDICATES:
         return set()

@@ -102,7 +102,6 @@ class Justifier:
             )
 
     def _derivation_tree(self, root: Occurrence) -> Term:
-        """Return the derivation tree of an occurrence."""
         trees_by_id: Dict[int, Term] = {}
         stack = [root]
         # Post-order with an explicit stack: chains of derived events can be longer than the recursion limit. The
@@ -285,7 +284,6 @@ def _describe_stream(pattern: _StreamPattern, parts: Sequence[Any], format_event
 
 
 def _not_preceded_term(pattern: NotPrecededPattern) -> Term:
-    """Return the term of ``not_preceded``."""
     return NOT_PRECEDED(_pattern_term(pattern.negated), to_seconds(pattern.span))
 
 
@@ -303,7 +301,6 @@ def _measures_term(pattern: WindowPattern) -> Term:
 
 
 def _name_and_operands(pattern: Pattern) -> "Tuple[str, List[Union[Pattern, _QuotedTerm]]]":
-    """Return name and operands of a pattern in an explanation."""
     if isinstance(pattern, PairPattern):
         return f"{pattern.operator}f", [pattern.left, pattern.right]
     if isinstance(pattern, InstantPattern):

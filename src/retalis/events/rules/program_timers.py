@@ -249,7 +249,6 @@ class Timers(StateOwner):
         self._rules.clock.call_at(instant, TimerAlarm(self, timer, instant))
 
     def _invalidate_alarm(self, timer: ProgramTimer) -> None:
-        """Invalidate the alarm of a removed timer."""
         if timer.alarm_instant is None:
             return
         timer.alarm_instant = None
@@ -353,7 +352,6 @@ class Timers(StateOwner):
                 self._set_alarm(timer)
 
     def _set_missing_alarms(self) -> None:
-        """Set the alarm of each timer that has none."""
         alarms = {
             alarm.timer: alarm
             for _, _, alarm in self._rules.clock.alarms

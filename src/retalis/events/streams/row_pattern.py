@@ -843,7 +843,6 @@ class RowPatternWindow(StreamOperator):
 def _matched_elements(
     assignments: Sequence[Tuple[int, int]], element_by_order: Dict[int, StreamElement]
 ) -> _MatchedElements:
-    """Return the elements of a match, given their orders and steps."""
     matched: Optional[_MatchedElements] = None
     for order, step in assignments:
         matched = _MatchedElements(element_by_order[order], step, matched)
@@ -862,7 +861,6 @@ def _list_assignments(matched: Optional[_MatchedElements]) -> _StepAssignments:
 
 
 def _stored_state(state: ComputationState) -> StoredState:
-    """Return the stored form of a state."""
     return StoredState(
         state.step,
         state.count,

@@ -188,7 +188,6 @@ class SessionWindow(Window):
         return outputs
 
     def _close(self, session: OpenSession) -> List[StreamOutput]:
-        """Return the outputs of a session."""
         outputs: List[StreamOutput] = []
         window = KeyedWindow(self.make_accumulators())
         for _, _, element in sorted(session.entries, key=_get_order):

@@ -394,7 +394,6 @@ class _SingleWindow(Window):
             self._check_alone(element)
 
     def _clock_after(self, end: int) -> int:
-        """Return the clock after an element with this end."""
         return self.clock if end <= self.clock or self._is_too_far_ahead(end) else end
 
     def _is_idle(self, keyed_window: KeyedWindow, element: StreamElement) -> bool:

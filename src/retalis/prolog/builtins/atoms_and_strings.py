@@ -625,7 +625,6 @@ def split_string(machine: ProgramMachine, text: Term, separators: Term, pad: Ter
 
 
 def _distinct_characters(text: str) -> str:
-    """Return the distinct characters of a text."""
     return text if len(text) < 2 else "".join(dict.fromkeys(with_limit_checks(text)))
 
 

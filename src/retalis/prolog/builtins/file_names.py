@@ -25,7 +25,6 @@ _EXTENSIONS: Dict[str, List[str]] = {
 
 
 def _read_file_name(term: Term) -> str:
-    """Return the text of a file name."""
     return whole_text(term, "text")
 
 

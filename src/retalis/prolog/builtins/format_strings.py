@@ -133,7 +133,6 @@ class ColumnLine:
         self.segment_column = self.column
 
     def _start_segment(self) -> None:
-        """Start a new segment."""
         self.segment: List[str] = []
         self.fill_points: List[Tuple[int, str]] = []
         self.segment_width = 0

@@ -157,7 +157,6 @@ def _translate_compound(element: CompoundTerm, first: Term, last: Term, pending:
 
 
 def _parse_terminals(term: Term) -> List[Term]:
-    """Return the terminals of a list or a string."""
     if term.__class__ is String:
         return [ord(char) for char in term.text]
     items = list_items(term)
@@ -167,7 +166,6 @@ def _parse_terminals(term: Term) -> List[Term]:
 
 
 def _terminals_goal(terminals: List[Term], first: Term, last: Term) -> Term:
-    """Return the goal that parses terminals."""
     return (EQUAL, first, make_list(terminals, last))
 
 

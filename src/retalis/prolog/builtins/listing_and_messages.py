@@ -366,7 +366,6 @@ def predicate_property(machine: ProgramMachine, head: Term, prop: Term) -> Solut
 
 
 def _properties(predicate: Predicate) -> Iterator[Term]:
-    """Yield the properties of a predicate."""
     yield atom("defined")
     yield atom("visible")
     clause_owner = predicate.clause_owner

@@ -253,7 +253,6 @@ def parse_transform(term: Term) -> Matrix:
 
 
 def _parse_fraction(term: Term) -> float:
-    """Return the fraction of a list ``[Fraction]``."""
     if term.__class__ is tuple and term[0] is CONS and term[1].__class__ is float and term[2] is NIL:
         return term[1]
     return float(parse_numbers(term, 1, "[Fraction]")[0])

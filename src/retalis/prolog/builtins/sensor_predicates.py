@@ -78,7 +78,6 @@ def _require_message(term: Term, type_name: str) -> CompoundTerm:
 
 
 def _require_nested_message(term: Term, expected: Functor, slot: str) -> CompoundTerm:
-    """Return the message in a slot."""
     term = deref(term)
     if term.__class__ is tuple and term[0] is expected:
         return term
@@ -88,7 +87,6 @@ def _require_nested_message(term: Term, expected: Functor, slot: str) -> Compoun
 
 
 def _read_number(term: Term, slot: str) -> float:
-    """Return the number in a slot."""
     term = deref(term)
     if term.__class__ is int or term.__class__ is float:
         return float(term)
@@ -98,7 +96,6 @@ def _read_number(term: Term, slot: str) -> float:
 
 
 def _read_non_negative(term: Term, slot: str) -> int:
-    """Return the non-negative integer in a slot."""
     term = deref(term)
     if term.__class__ is Var:
         raise instantiation_error()

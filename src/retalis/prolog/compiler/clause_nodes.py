@@ -407,7 +407,6 @@ class BodyParser:
         self._entry = entry
 
     def _new_height(self) -> Height:
-        """Return a new height."""
         self._height_count += 1
         return Height(f"h{self._height_count}")
 

@@ -116,7 +116,6 @@ def join_goals(
 
 
 def _leading_functions(database: PredicateResolver, nodes: Sequence[GoalNode]) -> List[CallNode]:
-    """Return the leading goals that are built-in functions."""
     functions: List[CallNode] = []
     for node in nodes[:_MAX_JOINED_GOALS]:
         if not isinstance(node, CallNode) or node.form != "builtin":

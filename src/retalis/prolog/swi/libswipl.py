@@ -506,7 +506,6 @@ class Interrupter:
                 self._interrupt(limited_goal)
 
     def _count_inferences(self, engine: int) -> int:
-        """Return the number of inferences of an engine."""
         swi = self._swi
         foreign_frame = swi.open_frame()
         ref = swi.new_refs(2)

@@ -513,7 +513,6 @@ class SwiEngine:
             self._level, self._is_in_use = outer_level, True
 
     def _callback_goal(self, call_ref: int) -> Term:
-        """Return the goal of a callback."""
         swi, terms = self._swi, self._terms
         foreign_frame = swi.open_frame()
         try:

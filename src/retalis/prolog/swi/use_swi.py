@@ -145,7 +145,6 @@ def _resolve_source(spec: Term, files: "SourceFiles") -> Term:
 
 
 def _parse_imports(term: Term) -> List[ImportedPredicate]:
-    """Return the predicates of a list of predicate indicators."""
     items = list_items(deref(term))
     if items is None:
         raise type_error("list", deref(term))

@@ -251,7 +251,6 @@ def integer_text(value: int) -> str:
 
 
 def _decimal(value: int) -> Decimal:
-    """Return an integer as a `Decimal`."""
     # The bits are halved until `Decimal` converts them quickly, and the halves are combined as decimals. libmpdec
     # multiplies with a number-theoretic transform, in little more than linear time.
     sizes = [value.bit_length()]

@@ -213,7 +213,6 @@ class NamedSlotParser(ParserStack):
         return True
 
     def _open_message(self, name: str, start: int, slots: Sequence[MessageSlot]) -> None:
-        """Open a message at its bracket."""
         bracket_position = self.position
         self.position = bracket_position + 1
         message = OpenMessage(self.argument_limit, bracket_position, self.table, start, name, slots)

@@ -348,7 +348,6 @@ class PredicateTable:
         yield from keys
 
     def _load_library(self, file_name: str) -> None:
-        """Load a file of the library."""
         load_library(self.database, file_name)
 
     def _call_undefined(self, predicate: Predicate, frame: Frame) -> Optional[Frame]:
