@@ -138,7 +138,7 @@ class _Template:
         self, slot: Field, indent: str, outer_names: List[str], comma: str
     ) -> Iterator[_TemplateLine]:
         """Yield the lines of a slot; ``comma`` is the text after it."""
-        prefix = f"{_quote_slot_name(slot.name)}: " if self.uses_slot_names else ""
+        prefix = f"{to_text(atom(slot.name))}: " if self.uses_slot_names else ""
         comment = f"{slot.describe()}, {_format_slot_size(slot)}"
         if not self.uses_slot_names:
             comment = f"{slot.name}: {comment}"
@@ -190,10 +190,6 @@ def _format_slot_size(slot: Field) -> str:
 
 def _capitalize(name: str) -> str:
     return "".join(part[:1].upper() + part[1:] for part in name.split("_"))
-
-
-def _quote_slot_name(name: str) -> str:
-    return to_text(atom(name))
 
 
 def _format_one_line(text: str) -> str:

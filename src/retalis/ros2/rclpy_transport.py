@@ -112,7 +112,7 @@ class RclpyTransport:
             set_node_time = replace_clock_subscription(node)
             if set_node_time is not None:
                 self._clock.on_tick(set_node_time)
-            self._subscribe_clock()
+            self.subscribe(CLOCK_TOPIC, CLOCK_TYPE, lambda source: _ClockReceiver(self._clock), queue_size=10)
 
     # ---- time
 
@@ -127,9 +127,6 @@ class RclpyTransport:
     def call_later(self, delay: int, callback: Callable[[], object]) -> Callable[[], object]:
         """See `Transport`."""
         return self._timers.call_later(delay, callback).cancel
-
-    def _subscribe_clock(self) -> None:
-        self.subscribe(CLOCK_TOPIC, CLOCK_TYPE, lambda source: _ClockReceiver(self._clock), queue_size=10)
 
     # ---- names and types
 

@@ -403,7 +403,7 @@ class _CaseReader:
             rules=_read_source_text(values, "rules"),
             goals=_read_source_text(values, "goals"),
             topics=tuple((topic, value.text()) for topic, value in topics.items()),
-            facts=tuple(_read_terms(values, "facts")),
+            facts=tuple(map(_read_term, values["facts"].items())) if "facts" in values else (),
             parameters=tuple(_read_node_parameters(parameters)),
             path=self._path,
             services=tuple(_read_services(values)),
@@ -632,10 +632,6 @@ def _read_time(values: Mapping[str, YamlValue], name: str) -> Optional[int]:
 
 def _read_term(value: YamlValue) -> TermText:
     return TermText(value.text(), value.place)
-
-
-def _read_terms(values: Mapping[str, YamlValue], name: str) -> List[TermText]:
-    return [_read_term(item) for item in values[name].items()] if name in values else []
 
 
 def _read_texts(values: Mapping[str, YamlValue], name: str) -> Optional[Tuple[str, ...]]:

@@ -71,7 +71,7 @@ def find_message_mismatches(program: ProgramModel) -> Iterator[RuleError]:
             name
             for definition in definitions
             if definition
-            for name in (definition.name, *_names_of_nested_types(definition))
+            for name in (definition.name, *[nested.name for nested in definition.dependencies()])
         }
     )
     packages_without_types = {
@@ -102,10 +102,6 @@ def _types_of_topics(program: ProgramModel) -> List[str]:
 def _is_defined_later(program: ProgramModel, type_name: str) -> bool:
     """Return whether a type may be received from its publishers later: it is unknown and not a misspelling."""
     return program.definition(type_name) is None and not program.definitions.misspelt(type_name)
-
-
-def _names_of_nested_types(definition: Definition) -> List[str]:
-    return [nested.name for nested in definition.dependencies()]
 
 
 def _subterms_named_as_messages(program: ProgramModel) -> Iterator[Tuple[Subterm, str]]:

@@ -85,11 +85,6 @@ _RESERVED_NAMES = frozenset(
 """Names with a fixed meaning in rules, which events of a topic or declared events cannot have."""
 
 
-def has_fixed_meaning(name: str) -> bool:
-    """Return whether a name has a fixed meaning in rules."""
-    return name in _RESERVED_NAMES
-
-
 def event_name_error(name: str) -> Optional[str]:
     """Return the reason why the events of a topic cannot have a name, or None."""
     error = name_fault(name)
@@ -365,7 +360,7 @@ def _parse_declaration(term: Term, place: Optional[Place], place_of: PlaceLookup
         raise RuleError(
             f"{name} needs no declaration: the slots of its messages and their types are known", place
         )
-    if has_fixed_meaning(name):
+    if name in _RESERVED_NAMES:
         raise RuleError(f"{name} has a fixed meaning in rules: choose another name for the event", place)
     arguments: Dict[str, Argument] = {}
     for position, part in enumerate(term[1:] if isinstance(term, tuple) else (), 1):

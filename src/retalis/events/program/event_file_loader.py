@@ -29,7 +29,7 @@ from ...prolog.syntax.term_reader import OF_FILES, Program, ReadTerm, read_progr
 from ...prolog.system.prolog_system import PrologSystem
 from ...prolog.terms.list_terms import conjuncts, list_items
 from ...prolog.terms.term_traversal import copy
-from ...prolog.terms.types import Atom, Functor, Term, deref, functor
+from ...prolog.terms.types import Atom, Term, deref, functor
 from ..language.called_predicates import PredicateCall, calls_in_goals, undefined_call_warnings
 from ..language.pattern_parser import no_place
 from ..language.pattern_tree import RuleDefinition
@@ -647,10 +647,6 @@ def _may_contain_rules(text: str) -> bool:
     return any(match.group(1) in _EVENT_PREDICATES for match in _DIRECTIVE_CALLS.finditer(text))
 
 
-def _is_event_predicate(logic: PrologSystem, key: Functor) -> bool:
-    return key.name in _EVENT_PREDICATES and logic.is_added(key)
-
-
 _MAX_INCLUDE_DEPTH = 50
 """Maximum depth of included files."""
 
@@ -679,7 +675,7 @@ def _contains_rules(program: Program, logic: PrologSystem, open_included: OpenIn
             continue
         goal = next(iter(conjuncts(term[1])))
         key = goal[0] if goal.__class__ is tuple else goal.functor if isinstance(goal, Atom) else None
-        if key is not None and _is_event_predicate(logic, key):
+        if key is not None and key.name in _EVENT_PREDICATES and logic.is_added(key):
             return True
         apply_reader_settings(term[1], program)
     return False

@@ -129,11 +129,6 @@ def timestamp_number(instant: int) -> Union[int, float]:
     return number
 
 
-def is_timestamp_number(value: object) -> bool:
-    """Return whether a number carries an instant."""
-    return isinstance(value, _TimestampNumber)
-
-
 def without_instant(value: Any) -> Any:
     """Return a number as programs see it, without an instant."""
     return value.number if isinstance(value, _TimestampNumber) else value
@@ -295,7 +290,7 @@ def _constant(item: Term) -> Number:
         raise type_error("[]", item)
     if item.__class__ is Lazy:
         return evaluate_exact(item.term())
-    if is_timestamp_number(item):
+    if isinstance(item, _TimestampNumber):
         return item  # type: ignore[return-value]
     raise type_error("evaluable", item)
 
