@@ -243,13 +243,52 @@ def test_impossible_path_is_refused(tmp_path: Path, name: str) -> None:
         DiskQueue(tmp_path / name, MEGABYTE)
 
 
-def test_damaged_file_is_set_aside(path: Path) -> None:
-    path.write_text("no database\n" * 1000)
+@pytest.mark.parametrize("content", [b"notes\n", b"notes\n" * 1000, b"\xff\xd8\xff\xe0" * 1000])
+def test_other_file_is_refused(path: Path, content: bytes) -> None:
+    path.write_bytes(content)
+    with pytest.raises(UsageError) as error:
+        DiskQueue(path, MEGABYTE)
+    assert str(error.value) == (
+        f"parameter ~forward_queue: {path}: it is not a queue (file is not a database): "
+        "expected a queue of format 1, or no file"
+    )
+    assert path.read_bytes() == content
+    assert [file.name for file in path.parent.iterdir()] == ["queue.db"]
+
+
+def test_other_damaged_database_is_refused(path: Path) -> None:
+    database = sqlite3.connect(str(path))
+    database.execute("CREATE TABLE topics (name TEXT)")
+    database.close()
+    content = bytearray(path.read_bytes())
+    content[100:108] = b"\xff" * 8
+    path.write_bytes(content)
+    with pytest.raises(UsageError, match="it is not a queue"):
+        DiskQueue(path, MEGABYTE)
+    assert path.read_bytes() == content
+
+
+def damage(path: Path, start: int, stop: int, value: bytes = b"\xff") -> None:
+    """Overwrite bytes of the file of a queue."""
+    content = bytearray(path.read_bytes())
+    content[start:stop] = value * (stop - start)
+    path.write_bytes(content)
+
+
+# The first bytes, the whole header, and the pages after it.
+@pytest.mark.parametrize(
+    ("start", "stop", "value"), [(0, 16, b"\xff"), (0, 4096, b"\0"), (100, 4096, b"\xff")]
+)
+def test_damaged_file_is_set_aside(path: Path, start: int, stop: int, value: bytes) -> None:
+    DiskQueue(path, MEGABYTE).close()
+    damage(path, start, stop, value)
+    content = path.read_bytes()
     errors: List[Any] = []
     queue = DiskQueue(path, MEGABYTE, on_damage=errors.append)
     (error,) = errors
+    assert str(error).startswith(f"parameter ~forward_queue: {path}: it is damaged (")
     assert str(error).endswith(f"its events are lost; it is kept as {path}.aside, and a new queue begins")
-    assert Path(f"{path}.aside").read_text().startswith("no database")
+    assert Path(f"{path}.aside").read_bytes() == content
     queue.append(events("a"))
     assert take_all(queue) == [(1, "a")]
     assert queue.set_aside_count == 1
@@ -261,9 +300,7 @@ def test_file_damaged_in_the_middle_is_set_aside(path: Path) -> None:
     queue.append(events(*["x" * 1000] * 200))
     session = queue.take(1, 1)[0].session
     queue.close()
-    content = bytearray(path.read_bytes())
-    content[20_000:120_000] = b"\xff" * 100_000
-    path.write_bytes(content)
+    damage(path, 20_000, 120_000)
     queue = DiskQueue(path, MEGABYTE)
     assert (queue.set_aside_count, queue.count) == (1, 0)
     queue.append(events("a"))
@@ -304,8 +341,9 @@ def test_damaged_file_that_cannot_be_renamed_is_reported(path: Path) -> None:
 
 def test_number_of_damaged_files_is_limited(path: Path) -> None:
     for number in range(6):
-        path.write_text(f"damaged {number} " * 1000)
         DiskQueue(path, MEGABYTE).close()
+        damage(path, 0, 16, str(number).encode())
+    DiskQueue(path, MEGABYTE).close()
     names = sorted(file.name for file in path.parent.iterdir())
     assert names == ["queue.db", "queue.db.aside", "queue.db.aside2", "queue.db.aside3"]
-    assert Path(f"{path}.aside3").read_text().startswith("damaged 5")
+    assert Path(f"{path}.aside3").read_bytes().startswith(b"5555")

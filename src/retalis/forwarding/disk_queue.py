@@ -31,7 +31,12 @@ LOCK_TIMEOUT_SECONDS = 5.0
 _APPLICATION_ID = 0x72746C71
 """Number in the header of the file that identifies queues of this package; ``rtlq`` in ASCII."""
 
+_APPLICATION_ID_OFFSET = 68
+"""Offset of this number in the header, with its most significant byte first."""
+
 _SCHEMA_VERSION = 1
+
+_EXPECTED_FILE = f"expected a queue of format {_SCHEMA_VERSION}, or no file"
 
 _ROW_OVERHEAD_BYTES = 30
 """Approximate size of a row, without its text."""
@@ -99,7 +104,7 @@ class QueueFailed(UsageError):
 class DiskQueue:
     """Queue of events in a file; it may be used by several threads.
 
-    A damaged file is renamed, and a new one begins.
+    A damaged queue is renamed, and a new one begins. Errors name the parameter of a node that has the path.
 
     Args:
         path: the file, which is created if it does not exist.
@@ -125,6 +130,7 @@ class DiskQueue:
     ):
         # A write-ahead log is beside the file itself, not beside a symbolic link to it.
         self._path = path.resolve()
+        self._place = f"parameter ~forward_queue: {self._path}"
         self._max_bytes = max_bytes
         self._max_events = max_events
         self._on_damage = on_damage
@@ -142,7 +148,7 @@ class DiskQueue:
             self._open()
         except sqlite3.OperationalError as error:
             if not _is_disk_full(error):
-                raise UsageError(f"{path}: {_explain_opening_error(error)}") from error
+                raise UsageError(f"{self._place}: {_explain_opening_error(error)}") from error
             # The node starts nevertheless, and opens the file when there is space.
 
     def append(self, events: Sequence[ForwardedEvent]) -> int:
@@ -237,7 +243,7 @@ class DiskQueue:
                 database.execute("COMMIT")
             except sqlite3.OperationalError as error:
                 self._roll_back(error)
-                raise QueueFailed(f"{self._path}: {error}") from error
+                raise QueueFailed(f"{self._place}: {error}") from error
             except sqlite3.DatabaseError as error:
                 self._replace_damaged(error)
             except UsageError as error:
@@ -249,7 +255,7 @@ class DiskQueue:
             else:
                 self.used_bytes = _used_bytes(database)
                 return result
-        raise QueueFailed(f"{self._path}: two files in succession are damaged")
+        raise QueueFailed(f"{self._place}: two files in succession are damaged")
 
     def _roll_back(self, error: sqlite3.OperationalError) -> None:
         database = self._database
@@ -334,20 +340,23 @@ class DiskQueue:
     # ---- the file
 
     def _open(self) -> sqlite3.Connection:
-        """Open the file, and read its state; a damaged file is replaced.
+        """Open the file, and read its state; a damaged queue is replaced.
 
         Raises:
             UsageError: if the file is no queue, or cannot be created or renamed.
             sqlite3.OperationalError: if the disk is full, or the file is locked.
         """
         if self._is_closed:
-            raise UsageError(f"{self._path}: it has been closed")
+            raise UsageError(f"{self._place}: it has been closed")
         try:
             self._open_file()
         except sqlite3.OperationalError:
             self._close_file()
             raise
         except sqlite3.DatabaseError as error:
+            self._close_file()
+            if not _was_queue(self._path):
+                raise UsageError(f"{self._place}: it is not a queue ({error}): {_EXPECTED_FILE}") from error
             self._replace_damaged(error)
             self._open_file()
         assert self._database is not None
@@ -360,9 +369,9 @@ class DiskQueue:
                 # Events may be confidential. SQLite gives the write-ahead log the permissions of the file.
                 os.close(os.open(path, os.O_CREAT | os.O_RDWR, 0o600))
         except OSError as error:
-            raise UsageError(f"{path}: it cannot be created: {error.strerror}") from error
+            raise UsageError(f"{self._place}: it cannot be created: {error.strerror}") from error
         if not path.is_file() or not os.access(path, os.R_OK | os.W_OK):
-            raise UsageError(f"{path}: expected a file that can be read and written")
+            raise UsageError(f"{self._place}: expected a file that can be read and written")
         database = self._database = sqlite3.connect(
             str(path), timeout=LOCK_TIMEOUT_SECONDS, isolation_level=None, check_same_thread=False
         )
@@ -404,7 +413,7 @@ class DiskQueue:
         problem = (
             f"it is a queue of format {version}" if is_queue else "it is the database of another program"
         )
-        raise UsageError(f"{self._path}: {problem}: expected a queue of format {_SCHEMA_VERSION}, or no file")
+        raise UsageError(f"{self._place}: {problem}: {_EXPECTED_FILE}")
 
     def _replace_damaged(self, error: sqlite3.DatabaseError) -> None:
         """Rename a damaged file; the next use creates a new one.
@@ -417,14 +426,14 @@ class DiskQueue:
             new_path = set_aside(self._path, MAX_SET_ASIDE_FILES)
         except OSError as rename_error:
             raise QueueFailed(
-                f"{self._path}: it is damaged ({error}) and cannot be renamed: {rename_error.strerror}"
+                f"{self._place}: it is damaged ({error}) and cannot be renamed: {rename_error.strerror}"
             ) from error
         self.set_aside_count += 1
         self._session, self._next_id = "", 1
         self.count = self._undeleted_count = 0
         self._on_damage(
             RetalisError(
-                f"{self._path}: it is damaged ({error}): its events are lost; it is kept as {new_path}, and a new "
+                f"{self._place}: it is damaged ({error}): its events are lost; it is kept as {new_path}, and a new "
                 "queue begins"
             )
         )
@@ -437,6 +446,22 @@ class DiskQueue:
             except sqlite3.Error:
                 # The write-ahead log of a damaged file cannot be copied into it.
                 pass
+
+
+def _was_queue(path: Path) -> bool:
+    """Return whether a file that SQLite cannot read was a queue, by its header.
+
+    Raises:
+        UsageError: if it cannot be read.
+    """
+    try:
+        with open(path, "rb") as file:
+            header = file.read(100)
+    except OSError as error:
+        raise UsageError(f"parameter ~forward_queue: {path}: it cannot be read: {error.strerror}") from error
+    number = int.from_bytes(header[_APPLICATION_ID_OFFSET : _APPLICATION_ID_OFFSET + 4], "big")
+    # After a power failure, blocks that were not written yet may be zeros.
+    return number == _APPLICATION_ID or not header.strip(b"\0")
 
 
 def _query_number(database: sqlite3.Connection, query: str) -> int:
