@@ -3,9 +3,11 @@
 import json
 import os
 import re
+import signal
 import subprocess
 import sys
-from collections import defaultdict
+import time
+from collections import Counter, defaultdict
 from pathlib import Path
 from types import ModuleType
 from typing import Any, List
@@ -95,3 +97,72 @@ def test_job_has_outputs_of_loop(tmp_path: Path) -> None:
     reasons = [json.loads(line)["reason"] for line in lines_of(tmp_path / "results" / "failed")]
     assert len(reasons) == 3
     assert lines_of(tmp_path / "results" / "late") == []
+
+
+JOB = """
+import sys
+from pyflink.common import Types
+from pyflink.datastream import SourceFunction
+from pyflink.java_gateway import get_gateway
+from retalis.fleet.flink_job import create_environment, read_lines, run_robots, write_files
+
+program, count, *resume = sys.argv[1:]
+environment = create_environment("checkpoints", interval=1, resume=next(iter(resume), None))
+environment.set_parallelism(1)
+settings = get_gateway().jvm.org.apache.flink.configuration.Configuration()
+# Timers that are set between two checkpoints are missing in the second one, unless a watermark comes meanwhile.
+for key, value in {
+    "python.fn-execution.bundle.time": "1000000",
+    "python.fn-execution.bundle.size": "1000000",
+    "pipeline.auto-watermark-interval": "1 h",
+}.items():
+    settings.setString(key, value)
+environment._j_stream_execution_environment.configure(settings)
+datagen = get_gateway().jvm.org.apache.flink.streaming.api.functions.source.datagen
+numbers = datagen.SequenceGenerator.longGenerator(1, int(count))
+source = SourceFunction(datagen.DataGeneratorSource(numbers, 10, int(count)))
+line = '{"robot": "r%d", "time": 1, "event": "picked(box)"}'
+ticks = environment.add_source(source, "numbers", Types.LONG()).uid("numbers")
+lines = ticks.map(lambda number: line % number, Types.STRING()).uid("lines")
+write_files(run_robots(read_lines(lines), program).outputs, "outputs", "outputs")
+environment.execute("timers")
+"""
+
+
+@pytest.mark.slow
+def test_silent_robots_have_alarms_after_restore(tmp_path: Path) -> None:
+    pytest.importorskip("pyflink", reason="Apache Flink is not installed: it takes 0.9 GB, and Java")
+    program = tmp_path / "program"
+    program.mkdir()
+    (program / "goalPredicates.txt").write_text(
+        "compile_event_file('rules.txt')\n"
+        "subscribe(picked(_), [], _, picks, a)\nsubscribe(overdue(_), [], _, alarms, b)\n"
+    )
+    (program / "rules.txt").write_text("overdue(X) <- picked(X) seq absent(dropped(X), 12).\n")
+    (tmp_path / "job.py").write_text(JOB)
+    environment = {**os.environ, "PYTHONPATH": python_path()}
+    with open(tmp_path / "log", "w", encoding="utf-8") as log:
+        job = subprocess.Popen(
+            [sys.executable, "job.py", program, "1000"],
+            cwd=tmp_path,
+            env=environment,
+            stdout=log,
+            stderr=log,
+            start_new_session=True,
+        )
+        end = time.monotonic() + 120
+        while not (newest := list(tmp_path.glob("checkpoints/*/chk-[4-9]/_metadata"))):
+            assert job.poll() is None, text_of(tmp_path / "log")
+            assert time.monotonic() < end, text_of(tmp_path / "log")
+            time.sleep(0.02)
+        os.killpg(job.pid, signal.SIGKILL)
+        job.wait()
+    # No event follows the restore: only the alarms are left.
+    process = run(tmp_path, "job.py", program, "1", newest[0].parent)
+    assert process.returncode == 0, process.stderr
+    outputs = [json.loads(line) for line in lines_of(tmp_path / "outputs")]
+    picks = Counter(output["robot"] for output in outputs if output["topic"] == "picks")
+    alarms = Counter(output["robot"] for output in outputs if output["topic"] == "alarms")
+    assert len(picks) > 5
+    assert set(picks.values()) == {1}
+    assert alarms == picks

@@ -6,15 +6,20 @@ the state is read only to restore a robot that is not there. It is bytes and tex
 
 The time of events is that of their lines. The next alarm of an engine is a timer of Flink, which fires when the
 watermark passes it; the watermark follows the newest event of all robots at a distance of `Options.max_lag`.
+
+A checkpoint may lack the newest timers: a timer of a function in Python is registered only after the elements that
+were passed to Python together, and Flink 2.3 does not wait for that before it writes a checkpoint. Therefore the
+state of a robot contains the time of its timer, and the function that reads the lines stores the robots of the last
+lines. After a restore it emits an element without a line for each of them, and `Robots` registers the timers again.
 """
 
 import json
 import sys
 import time
-from collections import OrderedDict, deque
+from collections import OrderedDict
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, Deque, Dict, Iterator, NamedTuple, Optional, Union
+from typing import Any, Dict, Iterator, NamedTuple, Optional, Union
 
 from pyflink.common import Configuration, Duration, Types, WatermarkStrategy
 from pyflink.common.serialization import Encoder
@@ -24,7 +29,6 @@ from pyflink.datastream import (
     FlatMapFunction,
     KeyedProcessFunction,
     OutputTag,
-    ProcessFunction,
     RuntimeContext,
     SourceFunction,
     StreamExecutionEnvironment,
@@ -51,8 +55,8 @@ MAX_WATERMARK = (1 << 63) - 1
 POLL_MILLISECONDS = 100
 """Time between two reads of a log that has no new lines."""
 
-RECENT_LINES = 10_000
-"""Number of lines whose robots may lack a timer in a checkpoint: those that Flink passes to Python at once."""
+RECENT_LINES = 100_000
+"""Number of lines whose robots may lack a timer in a checkpoint: each worker gets up to 1,000 elements together."""
 
 MAX_INPUT_CHARACTERS = 1_000_000
 """Length of the inputs since a snapshot at which a new one is stored."""
@@ -138,8 +142,40 @@ class LineChecker:
         return limit if self._latest is None else min(limit, self._latest)
 
 
-class CheckLines(ProcessFunction):
-    """Checks the lines of a source of Flink, which has no positions of lines.
+class RecentRobots:
+    """Keyed state with the names of the robots of the last lines: `RECENT_LINES` to twice as many; see the module.
+
+    Args:
+        context: declares the state.
+    """
+
+    def __init__(self, context: RuntimeContext):
+        # The newest names, and those of the lines before them: a name is stored at its first line only.
+        self._newest = context.get_list_state(ListStateDescriptor("newest robots", Types.STRING()))
+        self._previous = context.get_list_state(ListStateDescriptor("previous robots", Types.STRING()))
+        self._names: Dict[str, None] = {}
+        self._line_count = 0
+
+    def restore(self) -> Iterator[Any]:
+        """Yield an element for each stored robot; called before the first line of a process."""
+        self._names = dict.fromkeys(self._newest.get())
+        for name in {**dict.fromkeys(self._previous.get()), **self._names}:
+            yield name, 0, ""
+
+    def add(self, name: str) -> None:
+        """Store the robot of a line."""
+        self._line_count += 1
+        if self._line_count > RECENT_LINES:
+            self._previous.update(list(self._names))
+            self._newest.clear()
+            self._names, self._line_count = {}, 1
+        if name not in self._names:
+            self._names[name] = None
+            self._newest.add(name)
+
+
+class CheckLines(KeyedProcessFunction):
+    """Checks the lines of a source of Flink, which has no positions of lines; all lines have one key.
 
     Args:
         options: options of the fleet.
@@ -151,19 +187,35 @@ class CheckLines(ProcessFunction):
     def open(self, context: RuntimeContext) -> None:
         """Create the reader."""
         self._checker = LineChecker(self._options, context)
+        self._recent = RecentRobots(context)
+        self._has_begun = False
 
-    def process_element(self, line: str, context: ProcessFunction.Context) -> Iterator[Any]:
-        """Yield an event or a failure."""
-        yield self._checker.check(line)
+    def process_element(self, line: str, context: KeyedProcessFunction.Context) -> Iterator[Any]:
+        """Yield an event or a failure, at the first line after an element for each recent robot."""
+        if not self._has_begun:
+            # If no line follows a restore, the end of the input is the only occasion to set the timers again.
+            context.timer_service().register_event_time_timer(MAX_WATERMARK)
+            yield from self._begin()
+        element = self._checker.check(line)
+        if element[0] is not FAILED:
+            self._recent.add(element[0])
+        yield element
+
+    def on_timer(self, timestamp: int, context: KeyedProcessFunction.OnTimerContext) -> Iterator[Any]:
+        """Yield an element for each recent robot at the end of the input, if there was no line since a restore."""
+        if not self._has_begun:
+            yield from self._begin()
+
+    def _begin(self) -> Iterator[Any]:
+        self._has_begun = True
+        return self._recent.restore()
 
 
 class FollowLog(KeyedProcessFunction):
     """Reads a log, whose path is its key, and goes on when it grows.
 
-    The position in the log is keyed state, and a timer reads the next lines. Flink registers a timer of a function
-    in Python a moment after the call, so that a checkpoint may lack those of the last elements. Therefore the input
-    is a clock, whose next tick starts a missing timer after a restore. For the same reason the state has the names of
-    the robots of the last lines: after a restore an element without a line lets `Robots` set their timers again.
+    The position in the log is keyed state, and a timer reads the next lines. A checkpoint may lack this timer;
+    therefore the input is a clock, whose next tick starts it after a restore.
 
     Args:
         options: options of the fleet.
@@ -176,19 +228,15 @@ class FollowLog(KeyedProcessFunction):
         """Declare the state."""
         self._checker = LineChecker(self._options, context)
         self._position = context.get_state(ValueStateDescriptor("position", Types.STRING()))
-        self._recent = context.get_state(ValueStateDescriptor("recent", Types.STRING()))
+        self._recent = RecentRobots(context)
         self._timer: Optional[int] = None
-        self._robots: Deque[str] = deque(maxlen=RECENT_LINES)
 
     def process_element(self, path: str, context: KeyedProcessFunction.Context) -> Iterator[Any]:
         """Begin to read the log if this process does not read it yet; yield an element for each recent robot."""
         if self._timer is not None:
             return
         self._set_timer(context, 0)
-        stored = self._recent.value()
-        self._robots.extend([] if stored is None else json.loads(stored))
-        for robot in dict.fromkeys(self._robots):
-            yield robot, 0, ""
+        yield from self._recent.restore()
 
     def on_timer(self, timestamp: int, context: KeyedProcessFunction.OnTimerContext) -> Iterator[Any]:
         """Yield the events and failures of the next lines."""
@@ -200,11 +248,10 @@ class FollowLog(KeyedProcessFunction):
         for line in lines:
             element = self._checker.check(line.text, str(line.position), line.error)
             if element[0] is not FAILED:
-                self._robots.append(element[0])
+                self._recent.add(element[0])
             yield element
         if next_position != position:
             self._position.update(str(next_position))
-            self._recent.update(json.dumps(list(dict.fromkeys(self._robots))))
         self._set_timer(context, 0 if lines else POLL_MILLISECONDS)
 
     def _set_timer(self, context: KeyedProcessFunction.Context, delay: int) -> None:
@@ -265,20 +312,19 @@ class Robots(KeyedProcessFunction):
         )
         self._inputs = context.get_list_state(ListStateDescriptor("inputs", Types.STRING()))
         self._seen = context.get_state(ValueStateDescriptor("seen", Types.LONG()))
+        self._timer = context.get_state(ValueStateDescriptor("timer", Types.LONG()))
         metrics = context.get_metrics_group()
         self._count = {name: metrics.counter(name) for name in COUNTERS}
 
     def process_element(self, value: Any, context: KeyedProcessFunction.Context) -> Iterator[Any]:
         """Process an event; yield outputs, or a failure or late event with its tag."""
         name, _, line = value
-        if not line and self._seen.value() is None:
-            return  # the state has been deleted
+        if not line:
+            self._restore_timers(context)
+            return
         resident = self._find(name)
         # Not for alarms: a robot that sends nothing is forgotten although its alarms repeat.
         self._touch(resident, context)
-        if not line:
-            self._set_timer(resident, context)
-            return
         event = read_robot_event(line)
         try:
             result = resident.robot.process(event, _watermark(context))
@@ -330,6 +376,8 @@ class Robots(KeyedProcessFunction):
                 yield self._write(name, output)
         if resident.flush_limit is None or (robot.next_alarm or 0) <= resident.flush_limit:
             self._set_timer(resident, context)
+        if resident.timer is None:
+            self._timer.clear()
 
     def _find(self, name: str) -> _Resident:
         """Return a robot, which is restored or created if it is not in memory."""
@@ -379,6 +427,15 @@ class Robots(KeyedProcessFunction):
         if resident.timer is None or timer < resident.timer:
             context.timer_service().register_event_time_timer(timer)
             resident.timer = timer
+            self._timer.update(timer)
+
+    def _restore_timers(self, context: KeyedProcessFunction.Context) -> None:
+        """Register the timers of a robot that a checkpoint may lack; Flink drops those that exist."""
+        timer, seen = self._timer.value(), self._seen.value()
+        if timer is not None:
+            context.timer_service().register_event_time_timer(timer)
+        if seen is not None:
+            context.timer_service().register_processing_time_timer(seen + self._forget_milliseconds)
 
     def _touch(self, resident: _Resident, context: KeyedProcessFunction.Context) -> None:
         """Store that a robot is in use, unless that was stored recently."""
@@ -404,7 +461,7 @@ class Robots(KeyedProcessFunction):
             timers.register_processing_time_timer(end)
             return
         self._residents.pop(name, None)
-        for state in (self._snapshot, self._inputs, self._seen):
+        for state in (self._snapshot, self._inputs, self._seen, self._timer):
             state.clear()
         self._count["forgotten"].inc()
 
@@ -491,7 +548,19 @@ def read_file(
     source = FileSource.for_record_stream_format(StreamFormat.text_line_format(), _url(path)).build()
     with _one_worker(environment):
         lines = environment.from_source(source, WatermarkStrategy.no_watermarks(), "lines").uid("lines")
-        return lines.process(CheckLines(options), EVENT_TYPE).name("read").uid("read")
+    return read_lines(lines, options)
+
+
+def read_lines(lines: DataStream, options: Options = DEFAULT_OPTIONS) -> DataStream:
+    """Return the events of a stream of lines, for example of a connector of Flink.
+
+    Args:
+        lines: texts; those of one robot are in order if the stream has one worker.
+        options: options of the fleet.
+    """
+    with _one_worker(lines.get_execution_environment()):
+        keyed = lines.key_by(lambda line: "", Types.STRING())
+        return keyed.process(CheckLines(options), EVENT_TYPE).name("read").uid("read")
 
 
 def follow_log(
@@ -524,7 +593,7 @@ def run_robots(
     """Return the results of a program that runs for each robot.
 
     Args:
-        events: result of `read_file` or `follow_log`.
+        events: result of `read_file`, `read_lines` or `follow_log`.
         program: folder of the program, which has the same path on all machines.
         options: options of the fleet.
         settings: settings of the engines, for example limits.
