@@ -39,10 +39,11 @@ from pyflink.datastream.state import ListStateDescriptor, ValueStateDescriptor
 from pyflink.java_gateway import get_gateway
 
 from ..engine.engine_settings import Settings
+from ..forwarding.mqtt_sender import create_client
 from ..foundation.errors import RetalisError, UsageError
 from ..prolog.terms.timestamps import SECOND, from_seconds
 from .line_log import START, LogReader, Position
-from .mqtt_bridge import Configure, create_client
+from .mqtt_bridge import Configure
 from .robot_engine import BEFORE_ALL, REFUSE, FleetProgram, RobotEngine, RobotOutput
 from .robot_events import read_robot_event
 
@@ -649,7 +650,7 @@ class PublishLines(FlatMapFunction):
 
     def open(self, context: RuntimeContext) -> None:
         """Connect."""
-        self._client = create_client("", True)
+        self._client = create_client("")
         self._configure(self._client)
         self._client.connect(self._host, self._port)
         self._client.loop_start()

@@ -10,8 +10,8 @@ import time
 from pathlib import Path
 from typing import Any, Callable, List, Optional, Tuple
 
+from ..forwarding.mqtt_sender import create_client
 from ..foundation.displayed_text import quote_shortened
-from ..foundation.errors import UsageError
 from .line_log import LogWriter
 
 log = logging.getLogger("retalis")
@@ -32,20 +32,6 @@ Configure = Callable[[Any], None]
 """A function that configures a client of paho before it connects, for example with a password and certificates."""
 
 
-def create_client(client_id: str, clean_session: bool, **arguments: Any) -> Any:
-    """Return a client of paho.
-
-    Raises:
-        UsageError: if paho is not installed, or too old.
-    """
-    try:
-        from paho.mqtt.client import Client  # noqa: PLC0415 - optional
-        from paho.mqtt.enums import CallbackAPIVersion  # noqa: PLC0415
-    except ImportError as error:
-        raise UsageError(f"MQTT: {error}: expected paho-mqtt 2, pip install 'retalis[flink]'") from error
-    return Client(CallbackAPIVersion.VERSION2, client_id, clean_session, **arguments)
-
-
 class MqttBridge:
     """Writes the events that a broker receives to a log; see the module.
 
@@ -62,7 +48,7 @@ class MqttBridge:
         refused_count: number of events that were refused; the log has a line for each.
 
     Raises:
-        UsageError: if another process writes the log, or paho is not installed.
+        UsageError: if another process writes the log, or paho is not installed or too old.
         OSError: if the log cannot be opened.
     """
 
@@ -79,7 +65,7 @@ class MqttBridge:
         self._writer = LogWriter(folder, max_bytes)
         self._messages: List[Any] = []
         self.event_count = self.refused_count = 0
-        self._client = create_client(client_id, False, manual_ack=True)
+        self._client = create_client(client_id, clean_session=False, manual_ack=True)
         self._client.on_connect = self._subscribe
         self._client.on_message = lambda client, data, message: self._messages.append(message)
         configure(self._client)

@@ -17,7 +17,7 @@ from collections import deque
 from typing import Any, Deque, List, Optional, Set, Tuple
 
 from ..foundation.displayed_text import format_count, printable, shorten
-from ..foundation.errors import RetalisError, UsageError
+from ..foundation.errors import RetalisError, UsageError, install_hint
 from .disk_queue import DiskQueue, QueuedEvent
 from .forwarding_options import Broker
 
@@ -42,20 +42,58 @@ _MAINTENANCE_SECONDS = 1.0
 """Seconds between two checks of the connection, in which confirmed events are deleted from the queue."""
 
 
-def import_paho() -> Any:
+OLDEST_PAHO = (1, 6)
+"""Oldest version of paho; newer ones are accepted."""
+
+OLDEST_PAHO_WITH_MANUAL_ACK = (2, 0)
+"""Oldest version that lets a receiver acknowledge messages itself."""
+
+
+def import_paho(oldest: Tuple[int, int] = OLDEST_PAHO) -> Any:
     """Return the module of the client.
 
+    Args:
+        oldest: oldest version that is accepted.
+
     Raises:
-        UsageError: if it is not installed.
+        UsageError: if it is not installed, or older.
     """
+    version = f"{oldest[0]}.{oldest[1]}"
+    hint = f"pip install 'paho-mqtt>={version}'"
+    if oldest == OLDEST_PAHO:
+        hint = install_hint(f"'paho-mqtt>={version}'", "python3-paho-mqtt")
     try:
-        import paho.mqtt.client as paho  # noqa: PLC0415 - optional
+        import paho.mqtt  # noqa: PLC0415 - optional
+        import paho.mqtt.client  # noqa: PLC0415
     except ImportError as error:
         raise UsageError(
-            f"MQTT needs the Python package paho-mqtt ({error}): "
-            "apt install python3-paho-mqtt, or pip install 'retalis[mqtt]'"
+            f"MQTT needs the Python package paho-mqtt {version} or later: {error}: {hint}"
         ) from error
-    return paho
+    installed = paho.mqtt.__version__
+    if tuple(int(part) for part in installed.split(".")[:2]) < oldest:
+        raise UsageError(
+            f"MQTT needs the Python package paho-mqtt {version} or later: {installed} is installed: {hint}"
+        )
+    return paho.mqtt.client
+
+
+def create_client(client_id: str, clean_session: bool = True, manual_ack: bool = False) -> Any:
+    """Return a client of paho.
+
+    Args:
+        client_id: name of the client; "" for a random one.
+        clean_session: whether the broker forgets the client when the connection ends.
+        manual_ack: whether messages are acknowledged by `Client.ack`.
+
+    Raises:
+        UsageError: if paho is not installed, or too old.
+    """
+    paho = import_paho(OLDEST_PAHO_WITH_MANUAL_ACK if manual_ack else OLDEST_PAHO)
+    versions = getattr(paho, "CallbackAPIVersion", None)
+    arguments = {} if versions is None else {"callback_api_version": versions.VERSION2}
+    if manual_ack:
+        arguments["manual_ack"] = True
+    return paho.Client(client_id=client_id, clean_session=clean_session, **arguments)
 
 
 class InFlightEvents:
@@ -106,7 +144,7 @@ class MqttSender:
         repeated_count: number of times that an event was sent again.
 
     Raises:
-        UsageError: if paho is not installed, or a certificate cannot be read.
+        UsageError: if paho is not installed or too old, or a certificate cannot be read.
     """
 
     def __init__(self, broker: Broker, robot: str, queue: DiskQueue):
@@ -185,15 +223,13 @@ class MqttSender:
         self.problem = reason
 
     def _make_client(self) -> Any:
-        """Return a client of paho 1.x or 2.x.
+        """Return a client that is configured for the broker.
 
         Raises:
             UsageError: if a certificate cannot be read.
         """
-        paho, broker = self._paho, self._broker
-        versions = getattr(paho, "CallbackAPIVersion", None)
-        arguments = {} if versions is None else {"callback_api_version": versions.VERSION2}
-        client = paho.Client(client_id=f"retalis-{self._robot}", clean_session=True, **arguments)
+        broker = self._broker
+        client = create_client(f"retalis-{self._robot}")
         client.max_inflight_messages_set(MAX_IN_FLIGHT_EVENTS)
         if broker.user is not None:
             client.username_pw_set(broker.user, broker.password)
