@@ -88,6 +88,53 @@ def test_infinity_is_ordered_but_has_no_mean() -> None:
             value_of("array_mean", term)
 
 
+@pytest.mark.parametrize(
+    ("numbers", "percent", "expected"),
+    [
+        ([5.0, -math.inf], 50, -math.inf),
+        ([5.0, math.inf], 50, math.inf),
+        ([-1.5e308, 1.5e308], 50, 0.0),
+        ([-1.5e308, 1.5e308], 75, 7.5e307),
+    ],
+)
+def test_percentile_of_infinite_difference(numbers: Any, percent: Any, expected: float) -> None:
+    for term in both(numbers, "f8"):
+        assert value_of("array_percentile", term, percent) == expected
+
+
+def test_percentile_between_opposite_infinities_is_undefined() -> None:
+    for term in both([math.inf, -math.inf]):
+        with pytest.raises(PrologError, match="undefined"):
+            value_of("array_median", term)
+
+
+LARGE = 2**53
+"""Above this, doubles represent only even integers."""
+
+
+@pytest.mark.parametrize(
+    ("left", "dtype", "right", "right_dtype"),
+    [
+        (LARGE + 1, "i8", float(LARGE), ""),
+        (LARGE + 1, "u8", float(LARGE), "f8"),
+        (float(LARGE), "f8", LARGE + 1, ""),
+        (float(LARGE), "f8", -(10**400), ""),
+        (float(LARGE), "f8", LARGE + 1, "i8"),
+        (LARGE, "i8", LARGE + 1, "u8"),
+        (LARGE + 1, "u8", LARGE, "i8"),
+    ],
+)
+@pytest.mark.parametrize("name", ["<", "=<", ">", ">=", "=:=", "=\\="])
+def test_integers_are_compared_without_rounding(
+    left: Any, dtype: str, right: Any, right_dtype: str, name: str
+) -> None:
+    is_true = any(True for _ in LOGIC.solutions(functor(name, 2)(left, right)))
+    # So many elements are an array term, not a list.
+    for term in both([left] * 20, dtype):
+        for operand in both([right] * 20, right_dtype) if right_dtype else [right]:
+            assert value_of("array_count", term, functor(name, 1)(operand)) == 20 * is_true
+
+
 @pytest.mark.parametrize("percent", [-1, 100.5, math.nan])
 def test_percentage_out_of_range_is_refused(percent: Any) -> None:
     with pytest.raises(PrologError, match="percentage"):

@@ -13,6 +13,7 @@ but no result of arithmetic, as in ``is/2``.
 """
 
 import operator
+from math import isfinite
 from typing import TYPE_CHECKING, Any, Callable, Dict, List, NamedTuple, Optional, Union
 
 from ...foundation.limit_checks import check_limits
@@ -29,6 +30,9 @@ if TYPE_CHECKING:
     from ..terms.array_terms import Array
 
 _GREATEST_INTEGER = (1 << 63) - 1
+
+_GREATEST_EXACT_INTEGER = 1 << 53
+"""Greatest integer up to which a double represents each integer."""
 
 
 def _read_array(term: Term) -> "Array":
@@ -118,7 +122,14 @@ def _percentile(values: "Array", percent: Number) -> float:
     _require_ordered(partitioned[last].item())
     lower, upper = float(partitioned[low]), float(partitioned[high])
     # Between equal infinities the difference is nan.
-    return lower if not fraction or lower == upper else lower + (upper - lower) * fraction
+    if not fraction or lower == upper:
+        return lower
+    difference = upper - lower
+    if isfinite(difference):
+        return lower + difference * fraction
+    # The difference of finite numbers is too large for a float, or one is infinite. Between infinity and its negative
+    # there is no value.
+    return _require_ordered(lower * (1 - fraction) + upper * fraction)
 
 
 _REDUCTIONS: Dict[str, Callable[["Array"], Number]] = {
@@ -285,7 +296,10 @@ def _check_lengths(left: "Array", right: "Array", term: Term) -> None:
 
 
 def _compare_elements(values: "Array", name: str, operand: _Operand) -> "Array":
-    """Return for each element whether it compares so with a number, or with the element of another array."""
+    """Return for each element whether it compares so with a number, or with the element of another array.
+
+    The result is exact, as for the items of the list: an integer is not rounded before it is compared with a float.
+    """
     import numpy as np  # noqa: PLC0415 - see `array_terms`
 
     compare = _COMPARISONS[name]
@@ -297,19 +311,18 @@ def _compare_elements(values: "Array", name: str, operand: _Operand) -> "Array":
                 is_less = operand > bounds.max
                 return np.full(len(values), compare(0, 1) if is_less else compare(1, 0))
             return compare(values, values.dtype.type(operand))  # type: ignore[no-any-return]
-        if operand.__class__ is int or operand.__class__ is float:
-            return compare(values.astype("f8"), _to_float(operand))  # type: ignore[no-any-return]
-        if values.dtype.kind == "f" or operand.dtype.kind == "f":  # type: ignore[union-attr]
-            return compare(values.astype("f8"), operand.astype("f8"))  # type: ignore[no-any-return, union-attr]
-        return compare(values, operand)  # type: ignore[no-any-return]
+        # numpy before 1.25 compares signed with unsigned integers of 64 bits as doubles.
+        if isinstance(operand, np.ndarray) and np.result_type(values, operand).kind != "f":
+            return compare(values, operand)  # type: ignore[no-any-return]
+        if _fits_doubles(values) and _fits_doubles(operand):
+            return compare(values.astype("f8"), _as_float64(operand))  # type: ignore[no-any-return]
+    pairs = zip(values.tolist(), _as_list(operand, len(values)))
+    return np.array([compare(left_item, right_item) for left_item, right_item in pairs], bool)
 
 
-def _to_float(value: Number) -> float:
-    """Return a number as a float, infinity for an integer that is larger than all floats."""
-    try:
-        return float(value)
-    except OverflowError:
-        return float("inf") if value > 0 else float("-inf")
+def _fits_doubles(operand: _Operand) -> bool:
+    """Return whether doubles represent a number, or all elements of an array, exactly."""
+    return not _is_integral(operand) or _magnitude(operand) <= _GREATEST_EXACT_INTEGER
 
 
 def _match_condition(array: Term, condition: Term) -> "Array":
@@ -449,8 +462,8 @@ def _as_float64(operand: Any) -> Any:
     return float(operand) if operand.__class__ in (int, float) else operand.astype("f8")
 
 
-def _as_list(operand: Any, count: int) -> List[int]:
-    return [operand] * count if operand.__class__ is int else operand.tolist()
+def _as_list(operand: Any, count: int) -> List[Number]:
+    return [operand] * count if operand.__class__ in (int, float) else operand.tolist()
 
 
 def _add_bound(first: int, second: int) -> int:

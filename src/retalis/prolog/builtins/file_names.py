@@ -28,21 +28,28 @@ def _read_file_name(term: Term) -> str:
     return whole_text(term, "text")
 
 
+def _base_name(path: str) -> str:
+    """Return the part of a path after its last slash; trailing slashes are ignored, and the root is ``/``."""
+    stripped = path.rstrip("/")
+    return basename(stripped) if stripped else path[:1]
+
+
+def _folder_name(path: str) -> str:
+    """Return the part of a path before its last slash, ``.`` if it has none; trailing slashes are ignored."""
+    stripped = path.rstrip("/")
+    return (dirname(stripped) or ".") if stripped else path[:1] or "."
+
+
 @deterministic("file_base_name/2")
 def file_base_name(machine: ProgramMachine, path: Term, base: Term) -> bool:
     """Unify with the part of a path after its last slash."""
-    text = _read_file_name(path)
-    # Trailing slashes are ignored; a path of slashes only is the root (POSIX `basename`).
-    stripped = text.rstrip("/")
-    return unify(base, atom(basename(stripped) if stripped else text[:1]), machine.trail)
+    return unify(base, atom(_base_name(_read_file_name(path))), machine.trail)
 
 
 @deterministic("file_directory_name/2")
 def file_directory_name(machine: ProgramMachine, path: Term, folder: Term) -> bool:
     """Unify with the part of a path before its last slash."""
-    text = _read_file_name(path)
-    stripped = text.rstrip("/")
-    return unify(folder, atom((dirname(stripped) or ".") if stripped else text[:1] or "."), machine.trail)
+    return unify(folder, atom(_folder_name(_read_file_name(path))), machine.trail)
 
 
 @deterministic("file_name_extension/3")
@@ -78,13 +85,36 @@ def _unify_text(machine: ProgramMachine, term: Term, text: str) -> bool:
 
 @deterministic("directory_file_path/3")
 def directory_file_path(machine: ProgramMachine, folder: Term, name: Term, path: Term) -> bool:
-    """Relate a path with its folder and file name."""
-    if deref(folder).__class__ is Var or deref(name).__class__ is Var:
-        file_path = _read_file_name(path)
-        return machine.unify_all((folder, atom(dirname(file_path) or ".")), (name, atom(basename(file_path))))
-    folder_name, file_name = _read_file_name(folder), _read_file_name(name)
-    joined = file_name if folder_name == "." or isabs(file_name) else join(folder_name or "/", file_name)
-    return unify(path, atom(joined), machine.trail)
+    """Relate a path with its folder and file name; if one of these is given, the other one is the rest of it."""
+    has_folder, has_name = (deref(part).__class__ is not Var for part in (folder, name))
+    if has_folder and has_name:
+        folder_name, file_name = _read_file_name(folder), _read_file_name(name)
+        joined = file_name if folder_name == "." or isabs(file_name) else join(folder_name or "/", file_name)
+        return _unify_text(machine, path, joined)
+    file_path = _read_file_name(path)
+    if has_folder:
+        rest = _path_in_folder(file_path, _read_file_name(folder))
+        return rest is not None and unify(name, atom(rest), machine.trail)
+    if has_name:
+        parent = _folder_with_name(file_path, _read_file_name(name))
+        return parent is not None and unify(folder, atom(parent), machine.trail)
+    return machine.unify_all((folder, atom(_folder_name(file_path))), (name, atom(_base_name(file_path))))
+
+
+def _path_in_folder(path: str, folder: str) -> Optional[str]:
+    """Return the part of a path after its folder; None if it is not in the folder."""
+    if folder == "." and not isabs(path):
+        return path
+    prefix = join(folder or "/", "")
+    return path[len(prefix) :] if path.startswith(prefix) else None
+
+
+def _folder_with_name(path: str, name: str) -> Optional[str]:
+    """Return the part of a path before its file name; None if it does not end with the name."""
+    if path == name:
+        return "."
+    folder = path[: -len(name)] if name and path.endswith(f"/{name}") else None
+    return folder if folder is None else folder.rstrip("/") or "/"
 
 
 @deterministic("is_absolute_file_name/1")
@@ -162,13 +192,16 @@ def _absolute_path(machine: ProgramMachine, name: Term, folder: Optional[Term]) 
         return None
     else:
         text = _read_file_name(name)
-    start = _require_files(machine).absolute(".") if folder is None else _read_file_name(folder)
+    start = "." if folder is None else _read_file_name(folder)
+    if not isabs(start):
+        start = _require_files(machine).absolute(start)
     return normpath(join(start, text)) + ("/" if text.endswith("/") and text != "/" else "")
 
 
 def _join_segments(path: Term) -> str:
     """Return the path of a term such as ``folder/file``."""
-    # Collects the parts from right to left without recursion, so that the depth of the term is not limited.
+    # Collects the parts from right to left without recursion, so that the depth of the term is not limited; they are
+    # reversed at the end, because an insertion at the front takes time linear in their number.
     segments: List[str] = []
     pending = [path]
     while pending:
@@ -176,8 +209,8 @@ def _join_segments(path: Term) -> str:
         if part.__class__ is tuple and part[0] is SLASH:
             pending += [part[1], part[2]]
         else:
-            segments.insert(0, part.name if isinstance(part, Atom) else text_of(part))
-    return "/".join(segments)
+            segments.append(part.name if isinstance(part, Atom) else text_of(part))
+    return "/".join(reversed(segments))
 
 
 @deterministic("exists_directory/1")
