@@ -34,6 +34,9 @@ def engine() -> RecordingEngine:
         ("event(temperature(1), [1, 2])", ARITY),
         ("fire_event_list([event(temperature(1))])", ""),
         ("declare_event(temperature(a:atom))", f"temperature is declared already, as {FORM}"),
+        ("declare_event((a(x:atom), temperature(a:atom)))", f"temperature is declared already, as {FORM}"),
+        ("declare_event((a(x:atom), a(x:number)))", "a is declared already, as a(x:atom)"),
+        ("declare_event((a(x:atom), b(x:nothing)))", "there is no type nothing"),
         ("declare_event(_)", "a declaration names an event"),
         ("ins_event_rule(a <- temperature(_))", "a <- temperature(_): " + ARITY),
     ],
@@ -48,6 +51,8 @@ def test_goal_against_declaration_is_refused(engine: RecordingEngine, goal: str,
     assert engine.event_texts == []
     assert not list(engine.knowledge.memories)
     assert not list(engine.knowledge.subscriptions)
+    # A goal whose second declaration is wrong has not added the first one.
+    engine.event("a(1)", 1)
 
 
 def test_event_against_declaration_is_refused(engine: RecordingEngine) -> None:
@@ -158,3 +163,18 @@ def test_declaration_is_parsed_once(monkeypatch: pytest.MonkeyPatch) -> None:
     engine.load(rules=":- event more.")
     engine.event("more", 200)
     assert len(parsed) == 31
+
+
+def test_further_declaration_visits_no_earlier_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A program of many declarations is loaded in linear time."""
+    engine = Engine()
+    lookups: List[Any] = []
+    parse_clauses = event_declarations.DeclaredEvents._parse_clauses  # noqa: SLF001
+    monkeypatch.setattr(
+        event_declarations.DeclaredEvents, "_parse_clauses", recording(lookups, parse_clauses)
+    )
+    for number in range(30):
+        engine.call(f"declare_event(e{number}(x:number))")
+        with pytest.raises(UsageError, match=f"x of e{number}/1 is a number"):
+            engine.event(f"e{number}(a)")
+    assert len(lookups) == 1

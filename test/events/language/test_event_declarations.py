@@ -129,10 +129,11 @@ def test_invalid_declaration_is_refused(text: str, message: str) -> None:
 def test_second_declaration_of_name_is_refused() -> None:
     declarations = Declarations(str)
     (first,), (second,) = declarations_of("t(a:atom)"), declarations_of("t(a:number)")
-    assert declarations.add(first)
-    assert not declarations.add(*declarations_of("t(a:atom)"))
+    declarations.add(first)
+    declarations.add(*declarations_of("t(a:atom)"))
     with pytest.raises(UsageError, match="t is declared already"):
         declarations.add(second)
+    assert declarations.get("t") == first
 
 
 @pytest.mark.parametrize("strict", [False, True])

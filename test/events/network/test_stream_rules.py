@@ -631,6 +631,19 @@ def test_array_after_numbers_is_refused() -> None:
     assert "the value is '[1]': expected a number" in engine.problems[0]
 
 
+@pytest.mark.parametrize("kind", ["stddev(V)", "median(V)", "quantile(0.3, V)"])
+def test_run_beyond_floats_is_reported(kind: str) -> None:
+    engine = EngineDriver(f"r(M) <- p seq aggregate({kind}, in(V), M). later <- in(_).")
+    huge = 10**400
+    assert engine.feed(f"p@1 in({huge})@2 in({huge + 1})@3 in(0.5)@4").endswith("later@4-4")
+    assert engine.problems
+    name = kind.partition("(")[0]
+    assert all(
+        problem.endswith(f"aggregate {name}: the result is too large for a float")
+        for problem in engine.problems
+    )
+
+
 def test_average_beyond_floats_is_reported() -> None:
     huge = 10**400 + 1
     engine = EngineDriver("r(M) <- p seq aggregate(avg(V), in(V), M). later <- in(_).")

@@ -1,6 +1,8 @@
 """Violations of a file's event declarations, with their places."""
 
+from itertools import permutations
 from pathlib import Path
+from typing import Any
 
 import pytest
 from events.load_problems import errors_of
@@ -52,6 +54,15 @@ CONFLICT = "V is a number (value of temperature/2) and, here, an atom (motor of 
 )
 def test_violation_is_reported_at_position(rule: str, column: int, message: str) -> None:
     assert errors_of(f"{DECLARATION}{rule}") == [(2, column, message)]
+
+
+@pytest.mark.parametrize("pattern", list(permutations(("p(X)", "q(X)", "r(X)"))))
+def test_types_without_common_value_are_reported_in_any_order(pattern: Any) -> None:
+    """A time may be a number or a list, but a number is no list."""
+    text = f":- event p(x:time), q(x:number), r(x:list).\na <- {' seq '.join(pattern)}."
+    ((_, _, message),) = errors_of(text)
+    assert message.endswith("these are never equal")
+    assert "a time" not in message
 
 
 def test_all_violations_are_reported() -> None:

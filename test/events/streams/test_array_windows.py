@@ -139,3 +139,20 @@ def test_array_window_is_restored() -> None:
     restored.on_event(lambda term, start, end: outputs.append(restored.show(term)))
     send(restored, array_term(np.arange(6.0)), 5)
     assert "out(1,[0.0,2.0,4.0,6.0,8.0,10.0])" in outputs
+
+
+def test_array_is_refused_by_open_window_of_numbers() -> None:
+    """An event of another key moves the time of the stream, but ends no window that begins with an event."""
+    reports = RecordingReports()
+    engine, _ = engine_of("sum(K, R) <- aggregate(sum(X), scan(K, X), R, every(10, first)).", reports)
+    sums: List[Any] = []
+    engine.on_event(lambda term, start, end: sums.append(term[1:]) if term[0].name == "sum" else None)
+    engine.call("set_etalis_flag(watermark_delay, 20)")
+    send(engine, 1, 1)
+    send(engine, 1, 15, key=2)
+    send(engine, make_list([1, 2, 3]), 5)
+    send(engine, 2, 6)
+    engine.event("tick", 100)
+    assert sums == [(1, 3), (2, 1)]
+    (error,) = [text for text in reports.texts if "aggregate sum" in text]
+    assert "aggregate sum: the value is '[1,2,3]': expected a number" in error

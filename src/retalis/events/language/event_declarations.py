@@ -7,8 +7,8 @@ events of a topic.
 
 The type check works without running the program: each term belongs to one of a few *forms* (see `form_of`), and a
 `ValueType` is the set of forms that its values can have. Two types exclude each other if they share no form. A
-variable of a rule has the narrowest type of all its occurrences (see `VariableTypes`); two occurrences with types
-that exclude each other are reported, because no event can satisfy both.
+variable of a rule has the types of all its occurrences (see `VariableTypes`); two occurrences with types that exclude
+each other are reported, because no event can satisfy both.
 """
 
 from typing import (
@@ -16,6 +16,7 @@ from typing import (
     Callable,
     Dict,
     FrozenSet,
+    Hashable,
     Iterable,
     Iterator,
     List,
@@ -396,7 +397,8 @@ class Declarations:
         is_exempt: Callable[[Functor], bool] = lambda key: False,
     ):
         self._term_text = show
-        self._declarations = {declaration.name: declaration for declaration in declarations}
+        self._declarations: Dict[str, Declaration] = {}
+        self.update(declarations)
         self.strict = strict
         self._is_exempt = is_exempt
 
@@ -411,17 +413,35 @@ class Declarations:
         """Return the declaration for events of a name, or None."""
         return self._declarations.get(name)
 
-    def add(self, declaration: Declaration) -> bool:
-        """Add a declaration, and return whether it is new.
+    def update(self, declarations: Iterable[Declaration]) -> None:
+        """Add declarations, which replace those of the same names."""
+        self._declarations.update((declaration.name, declaration) for declaration in declarations)
+
+    def add(self, declaration: Declaration) -> None:
+        """Add a declaration.
 
         Raises:
             UsageError: if the name has a different declaration.
         """
-        # A file may be loaded again, and several files may share a declaration: repeating it is not an error.
-        existing = self._declarations.setdefault(declaration.name, declaration)
-        if existing.term != declaration.term:
-            raise UsageError(f"{declaration.name} is declared already, as {self._term_text(existing.term)}")
-        return existing is declaration
+        self.update(self.find_new([declaration]))
+
+    def find_new(self, declarations: Iterable[Declaration]) -> List[Declaration]:
+        """Return those of some declarations that are not in force yet, each once.
+
+        Raises:
+            UsageError: if a name has a different declaration.
+        """
+        new: Dict[str, Declaration] = {}
+        for declaration in declarations:
+            # A file may be loaded again, and several files may share a declaration: repeating it is not an error.
+            existing = self._declarations.get(declaration.name) or new.setdefault(
+                declaration.name, declaration
+            )
+            if existing.term != declaration.term:
+                raise UsageError(
+                    f"{declaration.name} is declared already, as {self._term_text(existing.term)}"
+                )
+        return list(new.values())
 
     def functor_error(self, key: Functor) -> str:
         """Return the error for events with a functor, or "" if the functor is as declared."""
@@ -527,17 +547,24 @@ class VariableTypes:
     def __init__(self, names: Mapping[Var, str], reports_clashes: bool = True):
         self._names = names
         self._reports_clashes = reports_clashes
-        self._types: Dict[Term, Tuple[ValueType, str]] = {}
+        self._occurrences: Dict[Term, Dict[Hashable, Tuple[ValueType, str]]] = {}
+        """For each variable its different types, each with the subject of the first occurrence."""
 
     def add_occurrence(self, var: Term, value_type: ValueType, subject: str) -> str:
         """Record a type of a variable, and return an error if another occurrence excludes it, else ""."""
-        previous_type, previous_subject = self._types.setdefault(var, (value_type, subject))
-        # The narrowest type is stored: a variable that is a number in one event and an integer in another one is an
-        # integer, and must be compared as such with the next occurrence.
-        if value_type.forms < previous_type.forms:
-            self._types[var] = (value_type, subject)
-        if not self._reports_clashes or not previous_type.excludes(value_type):
+        occurrences = self._occurrences.setdefault(var, {})
+        # All types are compared, not only the narrowest one: a time can be a number or a list, so a variable that is
+        # a time, a number and a list has no value, although the time excludes neither of the others.
+        clashes = [
+            occurrence
+            for occurrence in occurrences.values()
+            if self._reports_clashes and occurrence[0].excludes(value_type)
+        ]
+        occurrences.setdefault((value_type.forms, value_type.message_name), (value_type, subject))
+        if not clashes:
             return ""
+        # The narrowest type says most about the variable.
+        previous_type, previous_subject = min(clashes, key=lambda occurrence: len(occurrence[0].forms))
         name = self._names[var] if isinstance(var, Var) and var in self._names else "this variable"
         previous_text = f"{previous_type.description} ({previous_subject})"
         return f"{name} is {previous_text} and, here, {value_type.description} ({subject}): these are never equal"
@@ -657,25 +684,30 @@ class DeclaredEvents:
         # The dictionary is created again, so that it contains only clauses that still exist.
         previous, self._parsed_clauses = self._parsed_clauses, {}
         for clause in () if predicate is None else predicate.active_clauses():
-            declarations = previous.get(clause)
-            if declarations is None:
-                declarations = _parse_clause(clause)
-            self._parsed_clauses[clause] = declarations
-            yield from declarations
+            if clause in previous:
+                self._parsed_clauses[clause] = previous[clause]
+            yield from self._declarations_of(clause)
+
+    def _declarations_of(self, clause: Clause) -> List[Declaration]:
+        declarations = self._parsed_clauses.get(clause)
+        if declarations is None:
+            declarations = self._parsed_clauses[clause] = _parse_clause(clause)
+        return declarations
 
     def _needs_no_declaration(self, key: Functor) -> bool:
         return key in _ALWAYS_DECLARED or type_name(key.name) is not None or self._is_external_event(key)
 
     def _declare(self, machine: Machine, declared: Term) -> bool:
-        declarations = self.current_declarations()
         goal = (DECLARE_EVENT, deref(declared))
         try:
-            for declaration, _ in parse_declarations(goal, no_place):
-                self.checks_events = True
-                if declarations.add(declaration):
-                    self._logic.add_clause((_DECLARED, declaration.term))
+            # All declarations of the goal are checked before the first one is added.
+            declarations = [declaration for declaration, _ in parse_declarations(goal, no_place)]
+            new_declarations = self._declarations_in_force().find_new(declarations)
         except (RuleError, UsageError) as error:
             raise domain_error("event_declaration", declared, error.message) from None
+        self.checks_events = True
+        for declaration in new_declarations:
+            self._logic.add_clause((_DECLARED, declaration.term))
         return True
 
     def clear(self) -> None:
@@ -686,28 +718,27 @@ class DeclaredEvents:
 
     def refusal(self, term: Term) -> str:
         """Return the reason why an event does not match its declaration, or "" if it matches."""
+        return self._declarations_in_force().refusal(term)
+
+    def _declarations_in_force(self) -> Declarations:
+        """Return the present declarations; clauses are parsed if they are new."""
         predicate = self._logic.database.predicates.get(_DECLARED)
         clauses, retracted_count = (
             (_NO_CLAUSES, 0) if predicate is None else (predicate.clauses, predicate.retracted_count)
         )
         strict = self._is_strict()
-        # The declarations are parsed again if the clauses have changed. A list of clauses only grows, or is replaced
-        # by another list, so its identity and length, the number of dead clauses and the flag identify its contents.
         clause_count = len(clauses)
-        if (
-            clauses is not self._clauses
-            or clause_count != self._clause_count
-            or retracted_count != self._retracted_count
-            or strict != self._strict
-        ):
-            self._clauses, self._clause_count, self._retracted_count, self._strict = (
-                clauses,
-                clause_count,
-                retracted_count,
-                strict,
-            )
+        # A list of clauses only grows, or is replaced by another list. So its identity and length, the number of dead
+        # clauses and the flag identify its contents.
+        if clauses is not self._clauses or retracted_count != self._retracted_count or strict != self._strict:
             self._current_declarations = self.current_declarations()
-        return self._current_declarations.refusal(term)
+        elif clause_count != self._clause_count:
+            # Only further clauses: a program of many declarations is loaded in linear time.
+            for clause in clauses[self._clause_count :]:
+                self._current_declarations.update(self._declarations_of(clause))
+        self._clauses, self._retracted_count, self._strict = clauses, retracted_count, strict
+        self._clause_count = clause_count
+        return self._current_declarations
 
     def require_declared(self, pattern: Term) -> None:
         """Check a pattern or event in a goal.

@@ -976,5 +976,8 @@ class SequenceAggregate:
         Raises:
             RuleError: if the result is too large for a float.
         """
-        result: Optional[Any] = self._result(state)
+        try:
+            result: Optional[Any] = self._result(state)
+        except OverflowError:
+            raise RuleError(f"aggregate {self.name}: the result is too large for a float") from None
         return result * SECOND / span if self._is_per_second and result is not None else result

@@ -9,7 +9,6 @@ from functools import reduce
 from math import isfinite
 from typing import Any, Callable, List, NamedTuple, Optional, Tuple
 
-from ...foundation.errors import RuleError
 from ...prolog.terms.list_terms import make_list
 from ...prolog.terms.term_traversal import term_key
 from ...prolog.terms.types import NIL, Term
@@ -38,8 +37,8 @@ class Fold(NamedTuple):
         state_type: type of the states, for state files.
         empty_result: result without any value; None if there is none.
         add: returns the state with one more value.
-        result: returns the result of a state, or None if there is none; raises RuleError if it is too large for a
-            float.
+        result: returns the result of a state, or None if there is none; raises OverflowError if it is too large for
+            a float.
         is_per_second: whether the result is divided by the seconds from the end of the start to the last end.
     """
 
@@ -83,16 +82,11 @@ def compute_average(state: Tuple[float, int]) -> Term:
     """Return the average of a state, a sum and a count.
 
     Raises:
-        RuleError: if it is too large for a float.
+        OverflowError: if it is too large for a float.
     """
     total, count = state
     # Integers whose average is an integer stay exact, as `avg` of integers of any size.
-    if total.__class__ is int and total % count == 0:
-        return total // count
-    try:
-        return total / count
-    except OverflowError:
-        raise RuleError("aggregate avg: the result is too large for a float") from None
+    return total // count if total.__class__ is int and total % count == 0 else total / count
 
 
 def _values_of_state(state: Any) -> List[Term]:

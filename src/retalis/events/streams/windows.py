@@ -641,7 +641,8 @@ class AnchoredTumblingWindow(_SingleWindow):
         return [*outputs, *self._emit(keyed_window)] if self.running else outputs
 
     def _is_obsolete(self, keyed_window: KeyedWindow, element: StreamElement) -> bool:
-        return keyed_window.reference_time + self.span <= self._clock_after(element.end)
+        # Not the clock: it may have been moved by another key, which does not close the window of this one.
+        return keyed_window.reference_time + self.span <= element.end
 
     def return_to(self, instant: int) -> None:
         """See `StreamOperator.return_to`."""
