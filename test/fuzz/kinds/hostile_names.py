@@ -6,7 +6,7 @@ source.
 
 import json
 import re
-from typing import Any, List, Tuple
+from typing import Any, List
 
 from asserting_accessors import compound
 
@@ -23,111 +23,31 @@ from ..mutate import random_tokens, to_bytes, to_text
 from ..side_effects import FindingError
 from .base import LOGGED, Kind, create_silent_engine
 
-PIECES: Tuple[str, ...] = (
-    "'",
-    '"',
-    "\\",
+WORDS = r"""
+' " \ { } %s %(x)s {0} {x!r} ''' # ; : ( ) __import__('os').system('true') ../ /etc/passwd ~/ $(true) `true` é ٣ ﬁ K
+None def lambda class self term data _ __0__ __class__ 0 1e9 / - + = . .. * [ ] \u0027 \x27 | ! [] {} , < & ~private
+/abs x.y 0'a /* %
+"""
+OTHERS = (
+    '"""',
+    " ",
     "\n",
     "\0",
     "\r",
-    "{",
-    "}",
-    "%s",
-    "%(x)s",
-    "{0}",
-    "{x!r}",
-    '"""',
-    "'''",
-    "#",
-    ";",
-    ":",
-    "(",
-    ")",
-)
-PIECES += (
-    "__import__('os').system('true')",
+    "\t",
+    "\u2028",
+    "\ud800",
+    "\U0001f600",
     "');import os#",
     "\\N{DEGREE SIGN}",
-    "../",
-    "/etc/passwd",
-    "~/",
-    "$(true)",
 )
-PIECES += (
-    "`true`",
-    " ",
-    "\t",
-    "é",
-    "٣",
-    "ﬁ",
-    "K",
-    "\ud800",
-    "\u2028",
-    "\U0001f600",
-    "None",
-    "def",
-    "lambda",
-    "class",
-)
-PIECES += (
-    "self",
-    "term",
-    "data",
-    "_",
-    "__0__",
-    "__class__",
-    "0",
-    "1e9",
-    "/",
-    "-",
-    "+",
-    "=",
-    ".",
-    "..",
-    "*",
-    "[",
-    "]",
-)
-PIECES += (
-    "a" * 300,
-    "\\u0027",
-    "\\x27",
-    "|",
-    "!",
-    "[]",
-    "{}",
-    ",",
-    "<",
-    "&",
-    "~private",
-    "/abs",
-    "x.y",
-    "0'a",
-    "/*",
-    "%",
-)
+PIECES = (*WORDS.split(), *OTHERS, "a" * 300)
 MARK = "zq"
-FILE_GOALS: Tuple[str, ...] = (
-    "consult({})",
-    "ensure_loaded({})",
-    "include({})",
-    "[{}]",
-    "exists_file({})",
-    "consult(foo/{})",
-)
-FILE_GOALS += (
-    "compile_event_file({})",
-    "compile_events({})",
-    "execute_event_stream_file({})",
-    "open({}, write, _)",
-)
-FILE_GOALS += (
-    "see({})",
-    "tell({})",
-    "set_etalis_flag(output_temporary_files, {})",
-    "read_term({}, X, [])",
-    "shell({})",
-)
+GOALS_OF_FILES = """
+consult({}) ensure_loaded({}) include({}) [{}] exists_file({}) consult(foo/{}) compile_event_file({})
+compile_events({}) execute_event_stream_file({}) open({},write,_) see({}) tell({})
+set_etalis_flag(output_temporary_files,{}) read_term({},X,[]) shell({})
+"""
 
 
 class Inputs(Kind):
@@ -357,5 +277,5 @@ class Inputs(Kind):
 
     def in_file(self, name: Any) -> None:
         quoted = writeq(atom(name), self.engine.operators)
-        for goal in FILE_GOALS:
+        for goal in GOALS_OF_FILES.split():
             self.attempt(self.engine.call, goal.format(quoted))

@@ -14,36 +14,12 @@ from ..mutate import mutate_text, random_tokens, to_bytes, to_text
 from ..side_effects import FindingError
 from .base import Kind
 
-TYPES: Tuple[str, ...] = (
-    "int32",
-    "string",
-    "wstring",
-    "string<=10",
-    "wstring<=4",
-    "byte",
-    "char",
-    "float64",
-    "bool",
-    "uint8",
-    "octet",
-)
-TYPES += (
-    "pkg/msg/Type",
-    "pkg/Type",
-    "Type",
-    "builtin_interfaces/Time",
-    "builtin_interfaces/msg/Duration",
-    "Header",
-)
-TYPES += (
-    "std_msgs/msg/Header",
-    "int64",
-    "long",
-    "pkg/msg/msg/Type",
-    "pkg/srv/Type",
-    "no/msg/Such",
-    "no_such",
-)
+TYPE_NAMES = """
+int32 string wstring string<=10 wstring<=4 byte char float64 bool uint8 octet pkg/msg/Type pkg/Type Type Header
+builtin_interfaces/Time builtin_interfaces/msg/Duration std_msgs/msg/Header int64 long pkg/msg/msg/Type pkg/srv/Type
+no/msg/Such no_such
+"""
+TYPES = TYPE_NAMES.split()
 ARRAYS = (
     "",
     "",
