@@ -18,7 +18,6 @@ from retalis import (
     ProgramErrors,
     PrologError,
     Reports,
-    RetalisError,
     Settings,
     StreamClock,
     UsageError,
@@ -81,27 +80,6 @@ def test_failed_goal_does_not_stop_later_goals() -> None:
     assert [deref(answer["X"]) for answer in engine.query("a(X)")] == [1, 2]
 
 
-def test_rule_file_is_found_beside_goal_file(tmp_path: Path) -> None:
-    (tmp_path / "goalPredicates.txt").write_text("compile_event_file('more/rules.txt')\n")
-    (tmp_path / "more").mkdir()
-    (tmp_path / "more" / "rules.txt").write_text("b(X) <- a(X).\n")
-    engine = RecordingEngine()
-    engine.load_program(tmp_path)
-    engine.event("a(1)", 1)
-    assert [event for event, _, _ in engine.events] == ["a(1)", "b(1)"]
-
-
-def test_rule_file_with_errors_is_refused_completely(tmp_path: Path) -> None:
-    (tmp_path / "goalPredicates.txt").write_text("compile_event_file('rules.txt')\n")
-    (tmp_path / "rules.txt").write_text("ok <- a.\nb <- a seq.\nc <- (a.\nfact(1).\n")
-    engine = RecordingEngine()
-    with pytest.raises(ProgramErrors) as caught_errors:
-        engine.load_program(tmp_path)
-    assert [place_of(error).line for error in caught_errors.value.errors] == [2, 3]
-    engine.event("a", 1)
-    assert [event for event, _, _ in engine.events] == ["a"]
-
-
 def test_program_of_folder_with_error_is_incomplete(tmp_path: Path) -> None:
     """Undefined predicates are not reported: a clause may be missing because of the error."""
     for name, rules in (("a", "alarm <- fire.\nb <- a seq.\n"), ("b", "p :- undefined_here.\n")):
@@ -122,29 +100,11 @@ def test_program_of_folder_with_error_is_incomplete(tmp_path: Path) -> None:
     assert is_reported()
 
 
-def test_error_of_goal_stops_its_rule_only(caplog: pytest.LogCaptureFixture) -> None:
-    engine = RecordingEngine("null do no_such_goal(X) <- a(X).\nok(X) <- a(X).")
-    with caplog.at_level(logging.WARNING, "retalis"):
-        engine.event("a(1)", 1)
-    assert [event for event, _, _ in engine.events] == ["a(1)", "ok(1)"]
-    assert "no_such_goal" in caplog.text
-
-
 def test_events_of_goals_are_processed_first() -> None:
     engine = RecordingEngine("null do new_event(b, 5, 7) <- a.\nc <- b.\nd <- a.")
     engine.event("a", 1)
     assert [event for event, _, _ in engine.events] == ["a", "b", "c", "null", "d"]
     assert engine.events[1][1:] == (5 * SECOND + 7,) * 2
-
-
-def test_engine_continues_after_endless_chain(caplog: pytest.LogCaptureFixture) -> None:
-    engine = RecordingEngine("a(Y) <- a(X) where Y is X + 1.\nb(1) <- b.", max_depth=50)
-    with caplog.at_level(logging.WARNING, "retalis"):
-        engine.event("a(0)", 1)
-    assert len(engine.events) == 51
-    assert "50" in caplog.text
-    engine.event("b", 2)
-    assert engine.events[-1][0] == "b(1)"
 
 
 def test_long_chain_overflows_no_stack() -> None:
@@ -185,17 +145,6 @@ def test_moved_clock_separates_waiting_events() -> None:
     engine.event("go", 5)
     assert [event for event in events if "memory" not in event] == ["go", "a(1)", "a(2)", "b(2)", "ab(2,2)"]
     assert engine.query("findall(X, access_mem(seen, X, _), Xs)")[0]["Xs"] == make_list([2])
-
-
-def test_alarm_is_emitted_at_its_time() -> None:
-    engine = RecordingEngine("exceptionAlarm(late, 5) <- a.")
-    engine.event("a", 1)
-    stream_clock(engine).move_to(5 * SECOND)
-    engine.advance()
-    assert [event for event, _, _ in engine.events] == ["a"]
-    stream_clock(engine).move_to(6 * SECOND)
-    engine.advance()
-    assert engine.events[-1] == ("late", SECOND, 6 * SECOND)
 
 
 def test_alarm_in_callback_keeps_current_event() -> None:
@@ -283,14 +232,6 @@ def test_threads_send_events_during_queries() -> None:
     assert len(engine.query("access_mem(m, _, _)")) == 200
 
 
-def test_endless_goal_is_stopped() -> None:
-    engine = RecordingEngine("loop :- loop.\nnull do loop <- a.\nok <- a.", limits=Limits(inferences=100_000))
-    engine.event("a", 1)
-    assert [event for event, _, _ in engine.events] == ["a", "ok"]
-    with pytest.raises(RetalisError, match="inferences"):
-        engine.query("loop")
-
-
 def test_changed_limit_stops_goal() -> None:
     engine = Engine(settings=Settings(limits=Limits(inferences=1_000_000)))
     engine.change_settings(engine.settings._replace(limits=Limits(inferences=1000)))
@@ -327,15 +268,6 @@ def test_fixed_setting_cannot_be_changed() -> None:
 def test_values_of_answer_share_variables() -> None:
     (answer,) = Engine().query("X = f(A), Y = g(A)")
     assert compound(answer["X"])[1] is compound(answer["Y"])[1] is answer["A"]
-
-
-def test_failed_subscriber_does_not_stop_event(caplog: pytest.LogCaptureFixture) -> None:
-    engine = RecordingEngine("b <- a.", "subscribe(a, [], _, t, 1)")
-    engine.on_output(lambda term, topic, name: 1 / 0)
-    with caplog.at_level(logging.ERROR, "retalis"):
-        engine.event("a", 1)
-    assert [event for event, _, _ in engine.events] == ["a", "b"]
-    assert "ZeroDivisionError" in caplog.text
 
 
 def test_alarms_beyond_limit_are_dropped() -> None:
@@ -413,14 +345,6 @@ def test_error_of_rule_has_place_and_variable_names(caplog: pytest.LogCaptureFix
     assert caplog.records[0].getMessage().split("\n")[0] == (
         "r.txt:1:1: rule hot(Who,T), at event temp(bob,x): goal T>38: Type error: `evaluable' expected, found `x/0'"
     )
-
-
-@pytest.mark.parametrize("goal", ["memorize(a, [], _, m, 5)", "subscribe(a, [], _, t, m)"])
-def test_used_id_is_refused(goal: str) -> None:
-    engine = Engine()
-    assert engine.call(goal)
-    with pytest.raises(PrologError, match="one already exists"):
-        engine.call(goal)
 
 
 def test_errors_of_callbacks_are_reported(caplog: pytest.LogCaptureFixture) -> None:

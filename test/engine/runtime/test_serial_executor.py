@@ -377,22 +377,6 @@ def test_call_is_executed_before_queued_entries() -> None:
     assert done == ["called", "posted"]
 
 
-def test_posts_of_many_threads_are_all_executed() -> None:
-    executor, _, _ = make(size=100_000)
-    total = [0]
-
-    def add() -> None:
-        total[0] += 1
-
-    def post(thread: Any) -> None:
-        for _ in range(2000):
-            executor.post(add)
-
-    in_threads(post)
-    executor.call(lambda: None)
-    assert total[0] == 8000
-
-
 def end_with(exception: Any) -> Any:
     """Return work that an exception ends."""
 

@@ -63,14 +63,6 @@ def test_query_with_data_in_time_has_no_timeout() -> None:
     assert engine.texts() == ["ask(2)", "v(7)", "w(7)", "answer(7)", "tick"]
 
 
-def test_query_with_data_is_called_immediately() -> None:
-    engine = TimeoutEngine()
-    engine.event("v(7)", 2)
-    engine.event("w(7)", 2)
-    engine.event("ask(2)", 3)
-    assert engine.texts()[-1] == "answer(7)"
-
-
 def test_rule_matches_timeout_event() -> None:
     rules = QUERY_RULE + "alone(X, M) <- query_given_up(answer(_), _, [[M, _] | _]) where X = 1.\n"
     engine = TimeoutEngine(rules)
