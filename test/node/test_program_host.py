@@ -79,25 +79,6 @@ def test_alarm_fires_by_time_of_transport(network: MemoryNetwork, start: Any) ->
     assert robot.received["/alarm"] == ["silence"]
 
 
-def test_message_of_wrong_type_is_counted(network: MemoryNetwork, start: Any) -> None:
-    start(ECHO)
-    number = DEFINITIONS.find("std_msgs/Int32")
-    Robot(network).transport.advertise("/scan", number, 10).send(b"\0\0\0\0")
-    (scan,) = (
-        status for status in network.call("/retalis/list", most=0)["inputs"] if status["topic"] == "/scan"
-    )
-    assert (scan["messages"], scan["refused"]) == (1, 1)
-
-
-def test_damaged_message_does_not_stop_next_one(network: MemoryNetwork, start: Any) -> None:
-    robot = Robot(network)
-    robot.subscribe("/alarm")
-    host = start(ECHO)
-    robot.publish("/scan").send(b"\x09", encode("b"))
-    assert robot.received["/alarm"] == ["b"]
-    assert host.reports.errors == 1
-
-
 def test_latched_message_is_processed_once(network: MemoryNetwork, start: Any) -> None:
     robot = Robot(network)
     robot.subscribe("/alarm")
@@ -107,45 +88,6 @@ def test_latched_message_is_processed_once(network: MemoryNetwork, start: Any) -
     (subscription,) = network.subscriptions["/scan"]
     network.connect(publication, subscription)
     assert robot.received["/alarm"] == ["map"]
-
-
-def test_services_change_program(network: MemoryNetwork, start: Any) -> None:
-    robot = Robot(network)
-    robot.subscribe("/alarm")
-    start("", topics=TOPICS.replace('name="scan"', 'name="other"'))
-    assert network.call("/add_input_subscription", topic="scan", message_type="std_msgs/String") == {
-        "result": "ok"
-    }
-    added = network.call(
-        "/retalis/add_rule", rule="std_msgs__0__String(louder) <- std_msgs__0__String('\"soft\"')", label=""
-    )
-    assert added["result"] == "ok"
-    robot.publish("/scan").send(encode("soft"))
-    assert "louder" in robot.received["/alarm"]
-    assert network.call("/retalis/delete_rule", label=added["label"]) == {"result": "ok"}
-
-
-def test_query_answers_with_bindings(network: MemoryNetwork, start: Any) -> None:
-    start("", goals="assert(door(open))\n")
-    answer = network.call(
-        "/retalis/query",
-        goal="door(X)",
-        max_solutions=0,
-        seconds=0.0,
-        inferences=0,
-        wait_for=[],
-        stamp=0,
-        timeout=0.0,
-    )
-    assert answer["solutions"] == [{"bindings": [{"name": "X", "text": "open", "json": '"open"'}]}]
-
-
-def test_topic_of_goal_is_subscribed(network: MemoryNetwork, start: Any) -> None:
-    robot = Robot(network)
-    robot.subscribe("/alarm")
-    start("std_msgs__0__String(X) <- said(X).\n", GOALS + "subscribe_to(speech, 'std_msgs/String', said)\n")
-    robot.publish("/speech").send(encode("hello"))
-    assert robot.received["/alarm"] == ["hello"]
 
 
 def test_events_and_outputs_are_exchanged_as_text(network: MemoryNetwork, start: Any) -> None:

@@ -107,13 +107,6 @@ def test_full_stops_and_comments_are_ignored(client: Client) -> None:
     assert client.outputs == ["event(c(2),t,s)"]
 
 
-def test_topic_of_subscription_may_have_slashes(client: Client) -> None:
-    assert client.subscribe("a(X)", topic="/robot/out", name="1") == "ok"
-    client.send("a(1)")
-    assert client.outputs == ["event(a(1),'/robot/out',1)"]
-    assert client.unsubscribe("/robot/out", "1") == "ok"
-
-
 def test_subscription_is_added_once_per_topic(client: Client) -> None:
     assert client.subscribe("b(_)") == "ok"
     assert client.subscribe("b(_)").startswith("error: a subscription s of topic t already exists")
@@ -168,12 +161,6 @@ def test_topic_without_type_is_warned_of(client: Client, caplog: pytest.LogCaptu
     assert client.subscribe("u(_)", topic="nothing/there") == "ok"
     client.send("u(1)")
     assert "topic nothing/there has no type" in caplog.text
-
-
-def test_memory_without_records_is_warned_of(client: Client, caplog: pytest.LogCaptureFixture) -> None:
-    assert client.memorize("v(X)", "odd", conditions="no_such(X)", form="kept(Y)") == "ok"
-    assert "memory odd: there is no predicate no_such/1 yet" in caplog.text
-    assert "gives Y in the format a value" in caplog.text
 
 
 def test_input_topic_is_added_and_deleted_once(client: Client) -> None:
@@ -330,22 +317,6 @@ def test_events_are_explained(client: Client) -> None:
     assert (answer["result"], answer["happened"]) == ("ok", False)
     assert "    - dark(2): did not happen" in answer["lines"]
     assert client.call("/retalis/explain", event="f(")["result"].startswith("error: ")
-
-
-@pytest.mark.parametrize(
-    "text",
-    [
-        "event(form(1),[datime(2014,10,19,19,50,5,1),datime(2014,10,19,19,50,6,1)])",
-        "event(form(1))",
-        "new_event(form(1),1413748205,981209993)",
-        "new_event(form(1), [datime(2014,10,19,19,50,5,1), datime(2014,10,19,19,50,5,1)])",
-        "new_event(form(1),1,0,2,0).",
-    ],
-)
-def test_each_form_of_event_text_is_processed(client: Client, text: str) -> None:
-    client.subscribe("form(_)")
-    client.robot.publish("/retalisInputEvents").send(serialize_text(text))
-    assert client.outputs == ["event(form(1),t,s)"]
 
 
 def test_invalid_texts_are_ignored(client: Client) -> None:
