@@ -322,17 +322,6 @@ def test_incomplete_bag_is_played_with_status_3(
     )
 
 
-def test_ros2_bag_of_incomplete_bag_has_metadata(program: str, tmp_path: Path) -> None:
-    reader = pytest.importorskip("mcap.reader")
-    bag, output = tmp_path / "a.bag.active", tmp_path / "out.mcap"
-    cut_bag(bag, "x")
-    assert main(["bag", str(bag), "--program", program, "--quiet", "--output", str(output)]) == 3
-    with output.open("rb") as file:
-        (record,) = reader.make_reader(file).iter_metadata()
-    (incomplete_file,) = json.loads(record.metadata["files"])
-    assert (incomplete_file["incomplete"], incomplete_file["messages"]) == (str(bag), 1)
-
-
 def test_strict_option_refuses_incomplete_bag(
     program: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:

@@ -138,32 +138,6 @@ def test_rename(editor: EditorClient, folder: Path) -> None:
     editor.close(rules)
 
 
-OBSERVED = """\
-<publish_subscribe>
-  <observe_action name="go" action_type="lab/Go" event="drive"/>
-</publish_subscribe>
-"""
-
-
-def test_events_of_action_are_found_and_renamed(editor: EditorClient, folder: Path) -> None:
-    rules, topics = folder / "eventRules.txt", folder / "pub_sub.xml"
-    editor.open(rules, "a <- drive__goal(G, _).\nb <- drive__result(G, _, _).\n")
-    editor.open(topics, OBSERVED)
-    column = OBSERVED.split("\n")[1].index("drive")
-    event = ("pub_sub.xml", 1, column, column + len("drive"))
-    assert places(editor.at("textDocument/definition", rules, 1, 6)) == [event]
-    context = {"includeDeclaration": False}
-    assert places(editor.at("textDocument/references", topics, 1, column, context=context)) == [
-        ("eventRules.txt", 0, 5, 16),
-        ("eventRules.txt", 1, 5, 18),
-    ]
-    changes = editor.at("textDocument/rename", topics, 1, column, newName="travel")["changes"]
-    edits = {uri.rpartition("/")[2]: [edit["newText"] for edit in each] for uri, each in changes.items()}
-    assert edits == {"pub_sub.xml": ["travel"], "eventRules.txt": ["travel__goal", "travel__result"]}
-    editor.close(topics)
-    editor.close(rules)
-
-
 def test_quote_completes_values_of_topics_only(editor: EditorClient, folder: Path) -> None:
     rules, topics = folder / "eventRules.txt", folder / "pub_sub.xml"
     text = '<publish_subscribe>\n<publish_to latch="'
