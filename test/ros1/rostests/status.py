@@ -2,7 +2,6 @@
 """Status of a node: service ~list, and /diagnostics while simulated time stands still."""
 
 import sys
-import threading
 import unittest
 from pathlib import Path
 from typing import Any, Dict, List
@@ -24,7 +23,6 @@ class Status(unittest.TestCase):
     interface: Any
     list: Any
     list_interface: Any
-    query: Any
     add_rule: Any
     add_memory: Any
     add_subscription: Any
@@ -38,7 +36,6 @@ class Status(unittest.TestCase):
         cls.interface = "retalis" if cls.embedded else "retalis_ros_interface"
         cls.list = staticmethod(wait_for_service("retalis/list", srv.List))
         cls.list_interface = staticmethod(wait_for_service(f"{cls.interface}/list", srv.List))
-        cls.query = staticmethod(wait_for_service("retalis/query", srv.Query))
         cls.add_rule = staticmethod(wait_for_service("retalis/add_rule", srv.AddRule))
         cls.add_memory = staticmethod(wait_for_service("add_memory", srv.AddMemory))
         cls.add_subscription = staticmethod(
@@ -92,21 +89,6 @@ class Status(unittest.TestCase):
         shortened = self.list(1)
         self.assertEqual((len(shortened.rules), shortened.more_rules), (1, len(response.rules) - 1))
 
-    def test_list_has_waiting_queries_with_memories(self) -> None:
-        self.assertEqual(self.add_memory("pose", "", "_", "odom", "5").result, "ok")
-        self.add_rule(rule="synchronized(late(X), true, [[odom, 30]]) <- late_marker(X)")
-        self.events.publish(String("event(pose, [20.0, 20.0])"))
-        self.events.publish(String("event(late_marker(1), [25.0, 25.0])"))
-        wait_until(lambda: self.list(0).waiting, "the query")
-        waiting = self.list(0).waiting[0]
-        self.assertEqual((waiting.event, waiting.since.to_sec()), ("late(1)", 25.0))
-        self.assertEqual(
-            [(entry.id, entry.instant.to_sec(), entry.behind.to_sec()) for entry in waiting.memories],
-            [("odom", 30.0, 10.0)],
-        )
-        status = self.wait_for_status("retalis: waiting queries", lambda status: status.values)
-        self.assertIn("odom (10.000 s behind)", self.values(status)["late(1)"])
-
     def test_list_and_diagnostics_have_input_topic(self) -> None:
         self.assertEqual(self.add_input("points", "geometry_msgs/PointStamped").result, "ok")
         publisher = rospy.Publisher("points", PointStamped, queue_size=100)
@@ -140,29 +122,11 @@ class Status(unittest.TestCase):
         finally:
             publisher.unregister()
 
-    def test_errors_of_rule_are_a_diagnostic_error(self) -> None:
-        self.add_rule(rule="wrong_one: never <- number(X) where X > 1")
-        self.events.publish(String("event(number(many))"))
-        status = self.wait_for_status("retalis: rules", lambda status: status.level == DiagnosticStatus.ERROR)
-        self.assertIn("wrong_one", " ".join(self.values(status)))
-
     def test_both_nodes_have_diagnostics(self) -> None:
         for part in ("queue", "work", "rules", "waiting queries", "program", "process memory"):
             self.wait_for_status(f"retalis: {part}")
         self.wait_for_status("retalis: input /retalisInputEvents")
         self.wait_for_status(f"{self.interface}: process memory")
-
-    def test_busy_engine_is_listed_and_warned_of(self) -> None:
-        request = srv.QueryRequest(goal="repeat, fail", seconds=4.0)
-        query_thread = threading.Thread(target=lambda: self.query(request))
-        query_thread.start()
-        wait_until(lambda: self.list(0).work_goal, "the goal")
-        response = self.list(0)
-        self.assertTrue(query_thread.is_alive())
-        self.assertEqual(response.work_goal, "goal repeat")
-        self.wait_for_status("retalis: work", lambda status: status.level == DiagnosticStatus.WARN)
-        query_thread.join()
-        self.wait_for_status("retalis: work", lambda status: status.level == DiagnosticStatus.OK)
 
 
 if __name__ == "__main__":
