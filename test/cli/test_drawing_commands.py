@@ -155,3 +155,14 @@ def test_plot_of_incomplete_bag_has_status_3(tmp_path: Path, capsys: pytest.Capt
     assert main(options) == 3
     assert capsys.readouterr().err.startswith(f"warning: {bag} is incomplete: ")
     assert "application_source over a.bag (incomplete)" in (tmp_path / "a.html").read_text(encoding="utf-8")
+
+
+def test_title_names_five_of_many_bags(tmp_path: Path) -> None:
+    bags = [tmp_path / f"{number}.bag" for number in range(7)]
+    for bag in bags:
+        make_bag(bag, 1.0, 1)
+    page = tmp_path / "run.html"
+    assert main(["plot", *map(str, bags), "--program", PROGRAM, "-o", str(page)]) == 0
+    assert '"application_source over 0.bag, 1.bag, 2.bag, 3.bag, 4.bag and 2 more"' in page.read_text(
+        encoding="utf-8"
+    )

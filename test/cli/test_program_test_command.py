@@ -114,6 +114,13 @@ def test_coverage_below_threshold_has_status_1(capsys: pytest.CaptureFixture[str
     assert (folder / "coverage.xml").exists()
 
 
+def test_coverage_without_cases_names_reason(capsys: pytest.CaptureFixture[str], folder: Path) -> None:
+    (folder / "b_test.yaml").write_text("cases: 3")
+    status, text = run_test(capsys, "--coverage")
+    assert status == 2
+    assert text.endswith("0 passed, 1 file error\ncoverage: no case has run\n")
+
+
 def test_html_has_coverage_on_request(capsys: pytest.CaptureFixture[str], folder: Path) -> None:
     (folder / "a_test.yaml").write_text(FAILING)
     (folder / "b_test.yaml").write_text("cases: 3\n")

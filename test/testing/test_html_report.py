@@ -89,7 +89,7 @@ def test_page_has_colours_signs_and_texts(browser: Any, page: Path) -> None:
         ".map(style => style.backgroundColor)"
     )
     assert len({*colours, "rgba(0, 0, 0, 0)"}) == 4
-    assert browser.ask("document.body.scrollWidth <= innerWidth")
+    assert browser.ask("document.documentElement.scrollWidth") == 1280
 
 
 def test_page_lists_cases_with_failures(browser: Any, page: Path) -> None:
@@ -101,6 +101,30 @@ def test_page_lists_cases_with_failures(browser: Any, page: Path) -> None:
     assert f"a {HOSTILE}" in text
     assert "1 found that must not occur\n" in browser.ask("document.querySelector('pre').innerText")
     assert "asked(large)" in browser.ask("document.querySelector('pre').innerText")
+
+
+def test_file_error_is_not_a_failed_case(browser: Any, tmp_path: Path) -> None:
+    cases = [
+        ReportedCase("a_test.yaml:2", "a", 0.1, ()),
+        ReportedCase("b_test.yaml", "", 0.0, ("unknown key 'x'",)),
+    ]
+    write_html_report(tmp_path / "page.html", "title", cases)
+    browser.open((tmp_path / "page.html").as_uri())
+    assert "1 passed, 0 failed, 1 file error" in browser.ask("document.body.innerText")
+    cells = browser.ask(
+        "[...document.querySelectorAll('.list td:first-child')].map((cell) => cell.innerText)"
+    )
+    assert cells == ["\u2713 passed", "\u2717 file error", ""]
+
+
+def test_long_texts_are_broken_on_phone(browser: Any, tmp_path: Path) -> None:
+    name = "a_long_name_" * 8
+    parts = [CoveredPart("memory", "", name, 2), CoveredPart("rule", f"{tmp_path}/{name}:7", name, 0)]
+    cases = [ReportedCase(f"tests/{name}.yaml:2", name, 0.1, (name,))]
+    write_html_report(tmp_path / "page.html", "title", cases, parts)
+    browser.resize(400, 800)
+    browser.open((tmp_path / "page.html").as_uri())
+    assert browser.ask("document.documentElement.scrollWidth") == 400
 
 
 def test_page_loads_nothing(page: Path) -> None:

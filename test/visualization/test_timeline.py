@@ -214,3 +214,24 @@ def test_picture_has_lanes_and_marks(monkeypatch: pytest.MonkeyPatch, tmp_path: 
     assert {path.name: path.read_text() for path in tmp_path.iterdir()} == {"run.png": "picture"}
     bars = [arguments[0] for name, arguments in calls if name == "broken_barh"]
     assert bars == [[(1.0, 2.0)], [(2.0, 1.0)], [(2.0, 3.0)], [(2.0, 3.0)], [(0.0, 5.0)]]
+
+
+def test_long_name_does_not_widen_picture(tmp_path: Path) -> None:
+    pytest.importorskip("matplotlib")
+    widths = []
+    for name in ("e", "a_long_name_of_an_event_" * 8):
+        draw_timeline(read_records([{"event": name, "start": 0, "end": 9}]), "run", tmp_path / "run.png")
+        # The width is the first number of the header of a PNG.
+        widths.append(int.from_bytes((tmp_path / "run.png").read_bytes()[16:20], "big"))
+    assert widths[1] < 1.5 * widths[0]
+
+
+def test_missing_glyphs_are_one_warning(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    pytest.importorskip("matplotlib")
+    draw_timeline(
+        read_records([{"event": "'\u6e29\u5ea6'(1)", "start": 0, "end": 9}]), "run", tmp_path / "run.png"
+    )
+    assert [record.getMessage() for record in caplog.records] == [
+        "run.png: the fonts of matplotlib do not have 2 characters, which a box stands for; "
+        "run.html, a page, uses those of the browser"
+    ]

@@ -2,7 +2,7 @@
 
 import json
 from pathlib import Path
-from typing import Any, Dict, List
+from typing import Any, Dict, List, Sequence
 
 import pytest
 from page_snippet_runner import FENCE, ROOT, PageRun
@@ -205,10 +205,98 @@ def test_legend_has_distinct_colours(page: Any, timeline: Any, dark: bool) -> No
     assert len({*colours, background}) == 6
 
 
-def test_page_of_empty_run_opens(browser: Any, tmp_path: Path) -> None:
-    (tmp_path / "run.html").write_text(timeline_page(read_run([], "run"), "run"), encoding="utf-8")
-    browser.open((tmp_path / "run.html").as_uri())
-    assert browser.ask("document.getElementById('legend').textContent") == ""
+def open_run(browser: Any, folder: Path, records: Sequence[Any], title: str = "run") -> None:
+    """Open the page of a run in the browser."""
+    timeline = read_run(map(json.dumps, records), "run.jsonl")
+    (folder / "run.html").write_text(timeline_page(timeline, title), encoding="utf-8")
+    browser.open((folder / "run.html").as_uri())
+
+
+def test_page_of_empty_run_says_so(browser: Any, tmp_path: Path) -> None:
+    open_run(browser, tmp_path, [])
+    assert (
+        browser.ask("document.querySelector('header').innerText.trim()")
+        == "run\n\nthe run has no events, waits, memories or outputs"
+    )
+
+
+def test_instant_is_shown_within_a_second(browser: Any, tmp_path: Path) -> None:
+    open_run(browser, tmp_path, RECORDS[:1])
+    texts = browser.ask(DRAWN_TEXTS)
+    assert texts[0] == "0.0 s"
+    assert texts[-3:] == ["1.0 s", "Level", "1"]
+    ((area,),) = read_areas(browser)
+    assert area[2] == 1
+
+
+@pytest.mark.parametrize("width", [400, 1280])
+def test_times_of_axis_are_within_page(page: Any, width: int) -> None:
+    page.resize(width, 800)
+    page.ask(IS_REDRAWN)
+    ends = page.ask(
+        """
+        (() => {
+          const ends = [], { fillText } = paint;
+          paint.fillText = (text, x, ...others) => {
+            if (text.endsWith(" s")) ends.push(x + paint.measureText(text).width / 2);
+            fillText.call(paint, text, x, ...others);
+          };
+          // Long numbers, as at a high magnification.
+          show(run.length - 1e-5, run.length);
+          draw();
+          paint.fillText = fillText;
+          return ends;
+        })()
+        """
+    )
+    assert ends
+    assert max(ends) <= width
+
+
+def test_colours_follow_system_while_page_is_open(page: Any) -> None:
+    name_pixels = """
+        (() => {
+          const copy = document.createElement("canvas"), pixels = copy.getContext("2d", { willReadFrequently: true });
+          [copy.width, copy.height] = [canvas.width, canvas.height];
+          pixels.drawImage(canvas, 0, 0);
+          const names = pixels.getImageData(0, AXIS, LEFT, LANE_HEIGHT).data;
+          return Math.max(...names.filter((value, index) => index % 4 === 0 && names[index + 3] === 255));
+        })()
+    """
+    page.ask(IS_REDRAWN)
+    assert page.ask(name_pixels) < 128
+    page.set_dark(True)
+    page.ask(IS_REDRAWN)
+    assert page.ask(name_pixels) > 128
+
+
+def test_finger_scrolls_page_and_shows_details(browser: Any, tmp_path: Path) -> None:
+    browser.resize(400, 500)
+    browser.call("Emulation.setTouchEmulationEnabled", enabled=True)
+    try:
+        open_run(
+            browser,
+            tmp_path,
+            [{"event": f"e{number}(1)", "start": SECOND, "end": SECOND} for number in range(50)],
+        )
+        # A gesture of the browser's own would wait for frames, which a hidden page does not draw.
+        x, y = browser.ask("[xOf(0), canvas.offsetTop + AXIS + LANE_HEIGHT / 2]")
+        browser.call("Input.dispatchTouchEvent", type="touchStart", touchPoints=[{"x": x, "y": y}])
+        browser.call("Input.dispatchTouchEvent", type="touchEnd", touchPoints=[])
+        assert browser.ask("details.textContent") == "event e0 at 0.000000 s: e0(1)"
+        browser.call("Input.dispatchTouchEvent", type="touchStart", touchPoints=[{"x": 300, "y": 400}])
+        for place in range(380, 100, -20):
+            browser.call("Input.dispatchTouchEvent", type="touchMove", touchPoints=[{"x": 300, "y": place}])
+        browser.call("Input.dispatchTouchEvent", type="touchEnd", touchPoints=[])
+        browser.wait_for("window.scrollY > 100")
+    finally:
+        browser.call("Emulation.setTouchEmulationEnabled", enabled=False)
+
+
+def test_long_title_is_broken_into_lines(browser: Any, tmp_path: Path) -> None:
+    browser.resize(400, 800)
+    open_run(browser, tmp_path, RECORDS, "a_long_name_of_a_program_" * 6)
+    assert browser.ask("document.documentElement.scrollWidth") == 400
 
 
 def test_narrow_page_does_not_scroll_sideways(page: Any) -> None:

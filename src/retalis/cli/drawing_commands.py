@@ -40,6 +40,9 @@ from .stderr_and_progress import StderrReporter, show_progress
 if TYPE_CHECKING:
     from ..playback.incomplete_files import IncompleteFile
 
+MAX_BAGS_IN_TITLE = 5
+"""Maximum number of bags that the title of a timeline names."""
+
 TEXT_SUFFIXES = ("dot", "gv")
 """Suffixes of files in the text format of Graphviz."""
 
@@ -192,7 +195,9 @@ def draw_run(options: argparse.Namespace) -> int:
             options.reject_usage("give bags with --program, or --from")
         # An error in the program does not prevent the drawing; it determines the exit status.
         timeline, incomplete_files = _record_timeline(options, reporter)
-        title = f"{options.program.resolve().name} over {', '.join(Path(bag).name for bag in options.bags)}"
+        bag_names = [Path(bag).name for bag in options.bags]
+        more = f" and {len(bag_names) - MAX_BAGS_IN_TITLE} more" if len(bag_names) > MAX_BAGS_IN_TITLE else ""
+        title = f"{options.program.resolve().name} over {', '.join(bag_names[:MAX_BAGS_IN_TITLE])}{more}"
         if incomplete_files:
             title += " (incomplete)"
     with interruptible():

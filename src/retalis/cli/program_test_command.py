@@ -239,7 +239,8 @@ class _TestRun:
         """Print and write the coverage if the options request it; return whether it reaches the threshold."""
         options = self._options
         if options.coverage:
-            for line in format_coverage(parts):
+            # Without a case, no program was loaded.
+            for line in format_coverage(parts) if self._results else ("coverage: no case has run",):
                 print(line)
         if options.cobertura is not None:
             write_cobertura_report(options.cobertura, parts)

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Dict, Iterable, Iterator, List, NamedTuple, Sequence, Tuple
 
 from ..editing.clause_reader import ClauseReader, ParsedClause
-from ..foundation.displayed_text import printable
+from ..foundation.displayed_text import format_count, printable
 from ..foundation.output_files import write_text
 from .rule_coverage import CLAUSE, PART_TYPES, RULE, CoveredPart, covered_percentage
 
@@ -34,6 +34,7 @@ h1 { font-size: 1.4rem; } h2 { font-size: 1.15rem; margin-top: 2rem; }
 h3 { font: bold .95rem ui-monospace, monospace; }
 table { border-collapse: collapse; } .wide { width: 100%; }
 th, td { text-align: left; vertical-align: top; padding: .1rem .6rem; }
+h1, h3, p, .list td:not(.figure) { overflow-wrap: anywhere; }
 .list { margin: .6rem 0; } .list th, .list td { border-bottom: 1px solid var(--line); }
 .list td:first-child { white-space: nowrap; } td.figure, th.figure { text-align: right; }
 pre, .source td { font: 13px/1.45 ui-monospace, "DejaVu Sans Mono", monospace; }
@@ -121,11 +122,15 @@ def _format_page(title: str, cases: Sequence[ReportedCase], parts: Sequence[Cove
 
 
 def _format_cases(cases: Sequence[ReportedCase]) -> Iterator[str]:
-    failed_count = sum(1 for case in cases if case.failures)
-    yield f"<h2>Cases</h2>\n<p>{len(cases) - failed_count} passed, {failed_count} failed</p>"
+    failed_count = sum(1 for case in cases if case.failures and case.name)
+    error_count = sum(1 for case in cases if case.failures and not case.name)
+    errors = f", {format_count(error_count, 'file error')}" if error_count else ""
+    passed_count = len(cases) - failed_count - error_count
+    yield f"<h2>Cases</h2>\n<p>{passed_count} passed, {failed_count} failed{errors}</p>"
     yield '<table class="list wide">\n<tr><th>result<th>case<th>place<th class="figure">seconds'
     for case in cases:
-        result = '<td class="failed uncovered">\u2717 failed' if case.failures else "<td>\u2713 passed"
+        fault = "failed" if case.name else "file error"
+        result = f'<td class="failed uncovered">\u2717 {fault}' if case.failures else "<td>\u2713 passed"
         yield f'<tr>{result}<td>{_text(case.name)}<td>{_text(case.place)}<td class="figure">{case.seconds:.2f}'
         if case.failures:
             yield f'<tr><td><td colspan="3"><pre>{_text_lines(case.failures)}</pre>'

@@ -9,9 +9,24 @@ matplotlib.
 """
 
 import json
+import logging
 import re
+import warnings
 from pathlib import Path
-from typing import Any, Callable, Dict, Iterable, List, Mapping, NamedTuple, Optional, Sequence, Tuple, cast
+from typing import (
+    Any,
+    Callable,
+    Dict,
+    Iterable,
+    List,
+    Mapping,
+    NamedTuple,
+    Optional,
+    Sequence,
+    Set,
+    Tuple,
+    cast,
+)
 
 from ..engine.run_records import (
     LATER_FIELDS,
@@ -23,7 +38,7 @@ from ..engine.run_records import (
     OutputRecord,
     WaitRecord,
 )
-from ..foundation.displayed_text import printable, printable_json, shorten
+from ..foundation.displayed_text import format_count, printable, printable_json, shorten
 from ..foundation.errors import UsageError, install_hint
 from ..foundation.output_files import replace_file
 from ..prolog.terms import timestamps
@@ -317,6 +332,14 @@ _LEGEND_TEXTS = {
 
 _LANE_HEIGHT_INCHES, _PICTURE_WIDTH_INCHES = 0.24, 12.0
 
+_MAX_LABEL_CHARACTERS = 60
+"""Maximum length of a name in a picture, which is widened by longer ones. The page has the whole names."""
+
+_MISSING_GLYPH = "Glyph "
+"""Start of matplotlib's warning of a character that no font has."""
+
+_logger = logging.getLogger("retalis")
+
 
 class PageLane(NamedTuple):
     """A lane as the page reads it; the names of the fields are those in the script of the page.
@@ -408,7 +431,9 @@ def draw_timeline(timeline: Timeline, title: str, path: Path) -> None:
     figure = Figure(figsize=(_PICTURE_WIDTH_INCHES, height + 1.0))
     axes = figure.subplots()
     draw_lanes(axes, lanes)
-    axes.set_xlim(-0.01 * timeline.length, 1.01 * timeline.length or 1.0)
+    # A run of a single instant is shown within one second.
+    length = timeline.length or 1.0
+    axes.set_xlim(-0.01 * length, 1.01 * length)
     axes.set_title(f"{_escape_formulas(title)}\n{_describe_timeline(timeline)}", fontsize=10, loc="left")
     _label_rows(axes.twinx(), [f"{lane.total:,}" for lane in lanes], fontsize=8, color="#5b6675")
     patches = [Patch(color=_COLOURS[kind], label=text) for kind, text in _list_legend(lanes)]
@@ -422,10 +447,27 @@ def draw_timeline(timeline: Timeline, title: str, path: Path) -> None:
         frameon=False,
     )
     try:
-        with replace_file(path) as new_path:
+        with replace_file(path) as new_path, warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
             figure.savefig(new_path, dpi=110, bbox_inches="tight")
     except OSError as error:
         raise UsageError(f"cannot write {path}: {error.strerror}") from error
+    _report_warnings(path, {str(warning.message) for warning in caught})
+
+
+def _report_warnings(path: Path, messages: Set[str]) -> None:
+    """Log the warnings of matplotlib about a picture; those of missing characters in one line."""
+    missing = [message for message in messages if message.startswith(_MISSING_GLYPH)]
+    if missing:
+        _logger.warning(
+            "%s: the fonts of matplotlib do not have %s, which a box stands for; "
+            "%s, a page, uses those of the browser",
+            path.name,
+            format_count(len(missing), "character"),
+            path.with_suffix(".html").name,
+        )
+    for message in sorted(messages.difference(missing)):
+        _logger.warning("%s: %s", path.name, printable(message))
 
 
 def draw_lanes(axes: Any, lanes: Sequence[TimelineLane]) -> None:
@@ -435,7 +477,8 @@ def draw_lanes(axes: Any, lanes: Sequence[TimelineLane]) -> None:
     axes.set_xlabel("seconds")
     axes.grid(axis="x", color="#e1e5ea")
     axes.set_axisbelow(True)
-    _label_rows(axes, [_escape_formulas(lane.name) for lane in lanes], fontsize=9)
+    names = [_escape_formulas(shorten(lane.name, _MAX_LABEL_CHARACTERS)) for lane in lanes]
+    _label_rows(axes, names, fontsize=9)
 
 
 def _escape_formulas(text: str) -> str:
@@ -472,6 +515,8 @@ def _draw_lane(axes: Any, row: int, lane: TimelineLane) -> None:
 
 def _describe_timeline(timeline: Timeline) -> str:
     """Return a summary of the timeline in one line."""
+    if not timeline.lanes:
+        return "the run has no events, waits, memories or outputs"
     year, month, day, hour, minute, second, _ = timestamps.datime_fields(timeline.begin)
     omitted_lanes = (
         f"; {timeline.omitted_lane_count} further lanes are left out" if timeline.omitted_lane_count else ""
