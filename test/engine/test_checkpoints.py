@@ -273,7 +273,7 @@ def test_other_database_is_refused(folder: Path, statements: str, message: str) 
         (lambda old: to_bytes(to_fields({**old, "files": [["x"]]})), "files: .*expected 2 items"),
         (
             lambda old: to_bytes(to_fields({**old, "format": 99})),
-            "format 99: this version reads formats 11 to 13",
+            "format 99: this version reads formats 11 to 14",
         ),
         (lambda old: to_bytes(to_fields({**old, "memories": old["memories"] * 2})), "two memories"),
     ],

@@ -258,8 +258,8 @@ def test_unknown_section_is_refused(state: Dict[str, bytes]) -> None:
     ("number", "problem"), [(5, "format 5, a pickle .* never read"), (7, "the state is of format 7")]
 )
 def test_other_format_is_refused(state: Dict[str, bytes], number: int, problem: str) -> None:
-    data = pack_sections(state).replace(b'"format": 13', b'"format":  %d' % number)
-    with pytest.raises(UsageError, match=f"{problem}: this version reads formats 11 to 13"):
+    data = pack_sections(state).replace(b'"format": 14', b'"format":  %d' % number)
+    with pytest.raises(UsageError, match=f"{problem}: this version reads formats 11 to 14"):
         Engine.restore(data)
 
 

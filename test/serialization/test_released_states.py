@@ -4,10 +4,10 @@ import json
 from typing import Any, Dict, List
 
 import pytest
-from serialization.field_dictionaries import fields_of
+from serialization.field_dictionaries import fields_of, to_fields
 from serialization.released_states import FLAGS, FOLDER, continued_outputs, engine_with_state
 
-from retalis import Engine, UsageError
+from retalis import Engine, StreamClock, UsageError
 from retalis.serialization.codec import from_bytes, to_bytes
 from retalis.serialization.field_types import FieldChange
 from retalis.serialization.state_fields import KINDS, StateFields, StateOwner
@@ -145,7 +145,8 @@ def test_older_state_is_migrated(monkeypatch: pytest.MonkeyPatch, older_state: b
 
 
 def test_state_older_than_migrations_is_refused(monkeypatch: pytest.MonkeyPatch, older_state: bytes) -> None:
-    monkeypatch.delitem(MIGRATIONS, FORMAT_NUMBER - 2)
+    for number in range(min(MIGRATIONS), FORMAT_NUMBER - 1):
+        monkeypatch.delitem(MIGRATIONS, number)
     monkeypatch.setitem(MIGRATIONS, FORMAT_NUMBER - 1, OLDER_FORMATS[FORMAT_NUMBER - 1])
     expected = (
         f"format {FORMAT_NUMBER - 2}: this version reads formats {FORMAT_NUMBER - 1} to {FORMAT_NUMBER}"
@@ -161,3 +162,79 @@ def test_missing_field_is_refused_without_migration(
     monkeypatch.setitem(MIGRATIONS, FORMAT_NUMBER - 1, {})
     with pytest.raises(UsageError, match="section run: clock: behind: '0': expected true or false"):
         Engine.restore(older_state)
+
+
+# ---- row patterns in format 13, which lists the elements of each match ---------------------------------
+
+OVERLAPPING_STEPS = """
+rising(L) <- aggregate(list(X), e(X), L, steps([a(2, many) where X > prev(X)], [after_match(skip_to_next)])).
+low_high(L) <- aggregate(list(X), e(X), L, steps([low where X < 5, later(high) where X > 8])).
+"""
+
+
+def engine_with_steps() -> Engine:
+    engine = Engine(StreamClock())
+    engine.load(OVERLAPPING_STEPS)
+    for second, value in enumerate([7, 3, 4, 5, 6]):
+        engine.event(f"e({value})", second)
+    return engine
+
+
+def outputs_of_steps(engine: Engine) -> List[str]:
+    outputs: List[str] = []
+    engine.on_event(lambda term, start, end: outputs.append(engine.show(term)))
+    for second, value in enumerate([7, 1, 9, 10, 2], start=10):
+        engine.event(f"e({value})", second)
+    return [output for output in outputs if not output.startswith("e(")]
+
+
+def in_format_13(data: Any) -> Any:
+    """Return the data of a section with a list of elements in place of the nodes of each match."""
+    if not isinstance(data, list):
+        return data
+    names = data[::2]
+    if "nodes" not in [name for name in names if isinstance(name, str)]:
+        return [in_format_13(item) for item in data]
+    partitions = fields_of(data)
+    for column, (_, nodes) in enumerate(partitions.pop("nodes")):
+        node_fields = fields_of(nodes)
+
+        def assignments_of(node: Any, start: int, rows: Any = node_fields) -> List[List[int]]:
+            pairs: List[List[int]] = []
+            while node is not None and rows["element"][node] >= start:
+                pairs.insert(0, [rows["element"][node], rows["step"][node]])
+                node = rows["previous"][node]
+            return pairs
+
+        for name in ("states", "completed"):
+            count, stored = partitions[name][column]
+            rows = fields_of(stored) if count else {"last_node": [], "start_order": []}
+            matches = zip(rows.pop("last_node"), rows.pop("start_order"))
+            assignments = [assignments_of(*match) for match in matches]
+            if name == "completed":
+                partitions[name][column] = assignments
+            else:
+                del rows["totals"]
+                partitions[name][column] = [count, to_fields({**rows, "assignments": assignments})]
+    return to_fields(partitions)
+
+
+def test_matches_of_row_pattern_in_format_13_are_restored() -> None:
+    engine = engine_with_steps()
+    sections = unpack_sections(engine.snapshot()).sections
+    matches = from_bytes(sections["matches"])
+    assert b"start_order" in to_bytes(matches)
+    older = {**sections, "matches": to_bytes(in_format_13(matches))}
+    assert b"assignments" in older["matches"]
+    assert b"start_order" not in older["matches"]
+    expected = outputs_of_steps(engine)
+    assert len(expected) == 7
+    assert outputs_of_steps(Engine.restore(pack_sections(older, 13))) == expected
+
+
+def test_malformed_row_pattern_in_format_13_is_refused() -> None:
+    sections = unpack_sections(engine_with_steps().snapshot()).sections
+    older = to_bytes(in_format_13(from_bytes(sections["matches"])))
+    sections["matches"] = older.replace(b"assignments", b"assignment_")
+    with pytest.raises(UsageError, match="section matches: .*expected the fields"):
+        Engine.restore(pack_sections(sections, 13))

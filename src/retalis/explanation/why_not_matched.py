@@ -695,12 +695,11 @@ class _WindowEvaluation:
     def _update_progress(self) -> None:
         # Only a row pattern has steps.
         assert isinstance(self._stream, RowPatternWindow)
-        for partition in self._stream.partitions:
-            for state in partition.states:
-                counts = [0] * len(self.progress)
-                for _, step in state.assignments:
-                    counts[step] += 1
-                self.progress = max(self.progress, counts, key=_get_progress_key)
+        for steps in self._stream.partial_match_steps():
+            counts = [0] * len(self.progress)
+            for step in steps:
+                counts[step] += 1
+            self.progress = max(self.progress, counts, key=_get_progress_key)
 
 
 def _get_progress_key(counts: Sequence[int]) -> Tuple[int, int]:

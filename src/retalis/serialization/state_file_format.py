@@ -8,11 +8,12 @@ Files of older formats are migrated when they are read: `MIGRATIONS` has the cha
 
 import json
 import sys
-from typing import Dict, List, Mapping, NamedTuple, Tuple
+from typing import Dict, List, Mapping, NamedTuple, Optional, Sequence, Tuple
 from zlib import crc32
 
 from ..foundation.errors import UsageError
-from .field_types import FieldChange
+from .field_types import ANYTHING, COUNT, FieldChange, items_of, sequence_of, tuple_of
+from .state_fields import named_values, read_named_values
 
 MAGIC = b"retalis state\n"
 
@@ -22,10 +23,69 @@ _MAX_HEADER_BYTES = 16_000_000
 _MAX_HEADER_DIGITS = 20
 """Maximum number of digits of an integer in the header."""
 
-FORMAT_NUMBER = 13
+FORMAT_NUMBER = 14
 """Format number of state files, incremented when the fields of a record change, see `MIGRATIONS`."""
 
 _NO_SERVICE_CALLS = ["count", 0, "failed_count", 0, "refused_count", 0, "unanswered_calls", [0, []]]
+
+_ASSIGNMENTS = sequence_of(sequence_of(tuple_of(COUNT, COUNT)))
+"""Order and step of each element of some matches."""
+_TABLE = tuple_of(COUNT, ANYTHING)
+
+
+def _share_matched_elements(fields: Dict[str, object]) -> Dict[str, object]:
+    """Replace the list of elements of each match in the partitions of a row pattern by nodes of a shared buffer."""
+    node_tables, state_tables, match_tables = [], [], []
+    for state_table, completed in zip(items_of(fields.get("states")), items_of(fields.get("completed"))):
+        row_count, stored = _TABLE.check(state_table)
+        columns = read_named_values(stored)
+        state_assignments = _ASSIGNMENTS.check(columns.pop("assignments", ()))
+        completed_assignments = _ASSIGNMENTS.check(completed)
+        nodes: Dict[_Node, int] = {}
+        for name, column in zip(_MATCH_COLUMNS, _match_columns(state_assignments, nodes)):
+            columns[name] = column
+        state_tables.append([row_count, named_values(list(columns), list(columns.values()))])
+        match_columns = _match_columns(completed_assignments, nodes)
+        match_tables.append(_table_of(_MATCH_COLUMNS, len(completed_assignments), match_columns))
+        node_tables.append(_table_of(_Node._fields, len(nodes), list(zip(*nodes))))
+    return {**fields, "nodes": node_tables, "states": state_tables, "completed": match_tables}
+
+
+class _Node(NamedTuple):
+    """Node of a shared buffer."""
+
+    element: int
+    step: int
+    previous: Optional[int]
+
+
+_MATCH_COLUMNS = ("last_node", "start_order")
+
+
+def _match_columns(
+    matches: Sequence[Sequence[Tuple[int, int]]], nodes: Dict[_Node, int]
+) -> Tuple[List[Optional[int]], List[int]]:
+    """Return the columns that replace the assignments of matches.
+
+    Args:
+        matches: order and step of each element of each match.
+        nodes: index of each node; new ones are added.
+    """
+    last_nodes: List[Optional[int]] = []
+    start_orders = []
+    for assignments in matches:
+        last_node: Optional[int] = None
+        for order, step in assignments:
+            last_node = nodes.setdefault(_Node(order, step, last_node), len(nodes))
+        last_nodes.append(last_node)
+        start_orders.append(assignments[0][0] if assignments else 0)
+    return last_nodes, start_orders
+
+
+def _table_of(names: Sequence[str], row_count: int, columns: Sequence[Sequence[object]]) -> List[object]:
+    """Return a table as `rows_of` stores it."""
+    return [row_count, named_values(names, [list(column) for column in columns]) if row_count else []]
+
 
 MIGRATIONS: Dict[int, Mapping[str, FieldChange]] = {
     11: {"StoredProgram": FieldChange(added={"strings": "quoted"})},
@@ -35,6 +95,11 @@ MIGRATIONS: Dict[int, Mapping[str, FieldChange]] = {
         "EventInput": FieldChange(added={"processed_messages": ["identities", []]}),
         "RunState": FieldChange(added={"service_calls": _NO_SERVICE_CALLS}),
         "StoredState": FieldChange(removed=["preceding_matches"]),
+    },
+    13: {
+        "StoredPartition": FieldChange(convert=_share_matched_elements),
+        # Releases have no conditions with aggregates of steps, whose totals would be needed.
+        "StoredState": FieldChange(added={"totals": []}),
     },
 }
 """By format number: the changes of records, by name, from that format to the next one.

@@ -14,7 +14,7 @@ from oracle.strategies import Generator
 from recording_reports import RecordingReports
 
 from retalis import Engine, Var, atom, functor, make_list
-from retalis.events.streams.row_pattern import CompletedMatch, PartitionState
+from retalis.events.streams.row_pattern_states import CompletedMatch, PartitionState
 from retalis.prolog.terms.timestamps import SECOND
 
 KEY, VALUE, RESULT, STARTS = Var(), Var(), Var(), Var()
@@ -241,6 +241,49 @@ def test_memory_for_element_is_independent_of_matches() -> None:
         tracemalloc.stop()
         assert len(pattern_operator(engine)) == waiting_count + 1
     assert peaks[1] < 2 * peaks[0]
+
+
+@pytest.mark.parametrize(
+    "steps",
+    [
+        "[a(1, many) where V < 2, b where V > 2], [after_match(skip_to_next)]",
+        "[group([a where V =:= 0, b where V =:= 1], 1, many), c where V > 2], [after_match(skip_to_next)]",
+        "[a(1, many) where avg(V) < 2, b where V > 2], [after_match(skip_to_first(b))]",
+        "[a(1, many) where V < 2], [after_match(skip_to_next)]",
+    ],
+)
+def test_snapshot_grows_with_elements_and_states(steps: str) -> None:
+    """A snapshot in which each partial match lists its elements grows with the square of the elements."""
+    sizes, rule = [], f"found(L) <- aggregate(list(V), reading(V), L, steps({steps}))."
+    for count in (20, 40, 80):
+        engine = Engine()
+        engine.load(rules=rule)
+        for position in range(count):
+            engine.event(f"reading({position % 2})", position)
+        sizes.append(len(engine.snapshot()))
+    assert sizes[2] - sizes[1] < 2.5 * (sizes[1] - sizes[0])
+
+
+def test_nodes_of_dropped_elements_are_released() -> None:
+    """Each match shares the nodes of the one before, so no node of an earlier match would ever be freed."""
+    engine, events = Engine(), []
+    engine.load(
+        rules="w([property(event_rule_window, 9)]) : found(L) <- aggregate(list(V), reading(V), L, "
+        "steps([a(1, many) where V < 2, b where V > 2], [after_match(skip_to_next)]))."
+    )
+    engine.on_event(lambda term, *interval: events.append(engine.show(term)))
+    for position in range(100):
+        engine.event(f"reading({position % 2})", position)
+    (partition,) = pattern_operator(engine).states.values()
+    nodes = set()
+    for node, _ in partition.matches():
+        while node is not None and node not in nodes:
+            nodes.add(node)
+            node = node.previous
+    assert len(partition.elements) == 10
+    assert 10 <= len(nodes) <= 22
+    engine.event("reading(3)", 100)
+    assert events[-9] == "found([1,0,1,0,1,0,1,0,1,3])"
 
 
 @pytest.mark.parametrize(

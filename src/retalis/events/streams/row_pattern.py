@@ -21,10 +21,8 @@ partition; a partition without elements for that time is dropped as a whole.
 """
 
 from collections import OrderedDict, deque
-from operator import attrgetter, itemgetter
-from typing import Callable, Container, Deque, Dict, Hashable, List, NamedTuple, Optional, Sequence, Tuple
+from typing import Callable, Container, Dict, Hashable, List, NamedTuple, Optional, Sequence, Tuple
 
-from ...foundation.errors import RuleError
 from ...prolog.terms.timestamps import BEFORE_ALL_INSTANTS
 from ...prolog.terms.types import Term, Values
 from ...serialization.field_types import (
@@ -32,7 +30,6 @@ from ...serialization.field_types import (
     INSTANT,
     FieldType,
     integer,
-    invalid_value,
     optional,
     sequence_of,
     tuple_of,
@@ -49,11 +46,25 @@ from .row_pattern_automaton import (
     RowPatternSkip,
     StepTest,
 )
+from .row_pattern_states import (
+    CompletedMatch,
+    ComputationState,
+    PartitionState,
+    SharedBufferNode,
+    StepAssignments,
+    StoredMatch,
+    StoredNode,
+    StoredPartition,
+    StoredState,
+    are_paths,
+    list_assignments,
+    stored_partition,
+)
 from .stream_operators import ELEMENT, StreamElement, StreamOperator, StreamOutput, have_distinct_orders
 from .windows import MAX_TRACKED_ELEMENTS, have_distinct_keys, results_or_error
 
 
-def passes_tests(tests: Sequence[StepTest], state: "ComputationState", element: StreamElement) -> bool:
+def passes_tests(tests: Sequence[StepTest], state: ComputationState, element: StreamElement) -> bool:
     """Return whether an element satisfies all tests whose navigations and aggregates have values."""
     # Called for each state and element, for which a generator takes longer than a loop.
     for test in tests:
@@ -63,7 +74,7 @@ def passes_tests(tests: Sequence[StepTest], state: "ComputationState", element: 
     return True
 
 
-def ends_step(tests: Sequence[StepTest], state: "ComputationState", element: StreamElement) -> bool:
+def ends_step(tests: Sequence[StepTest], state: ComputationState, element: StreamElement) -> bool:
     """Return whether an element ends a step: at least one test is applicable, and all applicable ones hold."""
     is_applicable = False
     for test in tests:
@@ -74,7 +85,7 @@ def ends_step(tests: Sequence[StepTest], state: "ComputationState", element: Str
     return is_applicable
 
 
-def passes_test(test: StepTest, state: "ComputationState", element: StreamElement) -> Optional[bool]:
+def passes_test(test: StepTest, state: ComputationState, element: StreamElement) -> Optional[bool]:
     """Return whether an element satisfies a test; None if a navigation or an aggregate has no value."""
     elements = []
     for position in test.navigations:
@@ -99,8 +110,6 @@ MAX_STATES_PER_START = 100
 
 _ValueCheck = Callable[[StreamElement], Optional[bool]]
 """Rejects an element whose value a measure cannot process."""
-_StepAssignments = Tuple[Tuple[StreamElement, int], ...]
-"""Elements with the steps that accepted them."""
 
 
 class StepClassifier(NamedTuple):
@@ -124,173 +133,6 @@ class StepClassifier(NamedTuple):
         return copy
 
 
-class _MatchedElements(NamedTuple):
-    """Elements of a match as a linked list, the newest first; states with a common prefix share it."""
-
-    element: StreamElement
-    step: int
-    previous: "Optional[_MatchedElements]"
-
-
-class CompletedMatch(NamedTuple):
-    """Completed match that waits until no preferred state is left: its elements, and the order of the first one."""
-
-    matched: _MatchedElements
-    start_order: int
-
-
-class ComputationState:
-    """Computation state: one assignment of the elements so far to steps.
-
-    Attributes:
-        step: position of the step of the last element.
-        count: number of elements of that step, capped by `RowPatternNFA.capped_count`.
-        remaining_steps: after a skipped element, the positions that can still accept one; otherwise None.
-        totals: states of the aggregates.
-        start_order: order of its first element.
-        start_time: start of the first element in ns.
-    """
-
-    __slots__ = (
-        "step",
-        "count",
-        "remaining_steps",
-        "targets",
-        "totals",
-        "matched",
-        "start_order",
-        "start_time",
-    )
-
-    def __init__(
-        self,
-        step: int,
-        count: int,
-        remaining_steps: Optional[Tuple[int, ...]],
-        targets: NavigationTargets,
-        totals: Values,
-        matched: Optional[_MatchedElements],
-        start_order: int,
-        start_time: int,
-    ):
-        self.step = step
-        self.count = count
-        self.remaining_steps = remaining_steps
-        self.targets = targets
-        self.totals = totals
-        self.matched = matched
-        self.start_order = start_order
-        self.start_time = start_time
-
-    def key(self, count_class: Hashable) -> Hashable:
-        """Return a key that is equal for states with the same future; ``count_class`` is the class of its count."""
-        return (
-            self.step,
-            count_class,
-            self.remaining_steps,
-            tuple([id(element) for element in self.targets]),
-            self.totals,
-        )
-
-
-_Assignments = Tuple[Tuple[int, int], ...]
-"""Order and step of each element of a match."""
-
-
-class StoredState(NamedTuple):
-    """Stored form of a `ComputationState`, which refers to elements by their order.
-
-    Attributes:
-        step, element_count, remaining_steps: as in `ComputationState`; `element_count` is ``count`` there.
-        targets: order of the element of each navigation, or None if there is none yet.
-        assignments: order and step of each element of the match.
-    """
-
-    step: int
-    element_count: int
-    remaining_steps: Optional[Tuple[int, ...]]
-    targets: Tuple[Optional[int], ...]
-    assignments: _Assignments
-
-
-class StoredPartition(NamedTuple):
-    """Stored form of a `PartitionState`.
-
-    Attributes:
-        reference_time: the clock at its last element.
-        states: its computation states in order of preference.
-        completed: assignments of the waiting matches in the order of their starts.
-    """
-
-    reference_time: int
-    elements: List[StreamElement]
-    states: List[StoredState]
-    completed: List[_Assignments]
-
-
-class PartitionState:
-    """State of one partition: its computation states, waiting matches, and the elements that they use.
-
-    A completed match drops all less preferred states of its start, so all states of its start are preferred to it.
-
-    Attributes:
-        elements: elements that a state or match uses, and all elements since the oldest of them.
-        states: the computation states in order of preference.
-        completed: waiting matches in the order of their starts, at most one for each start.
-        counted_state_count: number of states that the window has counted for this partition.
-        reference_time: the clock at its last element.
-    """
-
-    __slots__ = ("elements", "states", "completed", "counted_state_count", "reference_time")
-
-    def __init__(self, states: List[ComputationState]):
-        self.elements: Deque[StreamElement] = deque()
-        self.states = states
-        self.counted_state_count = 0
-        self.reference_time = BEFORE_ALL_INSTANTS
-        self.completed: Deque[CompletedMatch] = deque()
-
-    def first_start(self) -> Optional[int]:
-        """Return the order of the first element of the most preferred state; None if no match has begun."""
-        state = self.states[0]
-        return None if state.matched is None else state.start_order
-
-    def replace_completed(
-        self, settled_starts: Sequence[int], matches: Sequence[CompletedMatch], drops_later: bool
-    ) -> None:
-        """Drop the waiting matches of some starts, and add matches of the same starts.
-
-        Args:
-            settled_starts: the starts; at most one if ``drops_later``.
-            matches: the matches to add, at most one for each start.
-            drops_later: whether the waiting matches of later starts are dropped, too.
-        """
-        if not settled_starts:
-            return
-        if drops_later:
-            while self.completed and self.completed[-1].start_order >= settled_starts[0]:
-                self.completed.pop()
-            self.completed.extend(matches)
-            return
-        # One pass for all starts, because each element may replace the matches of many starts.
-        settled = set(settled_starts)
-        remaining = [match for match in self.completed if match.start_order not in settled]
-        self.completed = deque(sorted([*remaining, *matches], key=attrgetter("start_order")))
-
-    def drop_before(self, order: int) -> None:
-        """Drop the states and waiting matches that began before the element with an order."""
-        self.states = [state for state in self.states if state.matched is None or state.start_order >= order]
-        while self.completed and self.completed[0].start_order < order:
-            self.completed.popleft()
-
-    def oldest_order(self) -> Optional[int]:
-        """Return the order of the oldest element in use, or None."""
-        orders = [state.start_order for state in self.states if state.matched is not None]
-        if self.completed:
-            orders.append(self.completed[0].start_order)
-        return min(orders, default=None)
-
-
 class _Successors:
     """Successor states of a partition for one element, while they are computed.
 
@@ -305,7 +147,15 @@ class _Successors:
             adjacent.
     """
 
-    __slots__ = ("states", "largest_counts", "completed", "settled_starts", "start_order", "same_start_count")
+    __slots__ = (
+        "states",
+        "largest_counts",
+        "completed",
+        "settled_starts",
+        "start_order",
+        "same_start_count",
+        "_nodes",
+    )
 
     def __init__(self) -> None:
         self.states: List[ComputationState] = []
@@ -314,6 +164,22 @@ class _Successors:
         self.settled_starts: List[int] = []
         self.start_order = 0
         self.same_start_count = 0
+        # Nodes of the element by step and previous node; with None, the newest node of the step.
+        self._nodes: Dict[Tuple[int, Optional[SharedBufferNode]], SharedBufferNode] = {}
+
+    def node_of(
+        self, element: StreamElement, step: int, previous: Optional[SharedBufferNode]
+    ) -> SharedBufferNode:
+        """Return the node of the element after another node, or as the first one of a match.
+
+        A new match shares the node of an earlier one: the nodes before its start are not part of it. If both assign
+        the same steps to later elements, they have all nodes in common.
+        """
+        node = self._nodes.get((step, previous))
+        if node is None:
+            node = SharedBufferNode(element, step, previous)
+            self._nodes[step, previous] = self._nodes[step, None] = node
+        return node
 
     def uses(self, element: StreamElement) -> bool:
         """Return whether a state or match uses the element."""
@@ -404,6 +270,7 @@ class RowPatternWindow(StreamOperator):
         partition = self.states.get(element.key)
         if partition is None or (idle is not None and partition.reference_time < clock - idle):
             partition = PartitionState([self._scanning_state()])
+        partition.release_nodes()
         states = self._active_states(partition, clock)
         meter = self.meter
         if meter is not None and meter(len(states)):
@@ -484,7 +351,7 @@ class RowPatternWindow(StreamOperator):
 
     def _next_start(self, match: CompletedMatch) -> int:
         """Return the order of the first element at which a match may begin after another one."""
-        assignments = _list_assignments(match.matched)
+        assignments = list_assignments(match.matched, match.start_order)
         orders = [element.order for element, step in assignments if step == self.skip.step]
         if not orders:
             return assignments[-1][0].order + 1
@@ -529,10 +396,7 @@ class RowPatternWindow(StreamOperator):
             self.states[key] = partition
             if len(self.states) > self._max_keys:
                 self._evict_keys()
-            # Elements are dropped in order of arrival; those between used ones stay until the oldest use ends.
-            while partition.elements[0].order < oldest_order:
-                partition.elements.popleft()
-                self._element_count -= 1
+            self._element_count -= partition.drop_elements_before(oldest_order)
         else:
             self._element_count -= len(partition.elements)
             self.states.pop(key, None)
@@ -606,7 +470,7 @@ class RowPatternWindow(StreamOperator):
         for check in self._checks_of[number]:
             check(element)
         count = nfa.capped_count(step, state.count + 1 if state.step == step else 1)
-        matched = _MatchedElements(element, number, state.matched)
+        matched = successors.node_of(element, number, state.matched)
         start_order, start_time = (
             (element.order, element.start) if state.matched is None else (state.start_order, state.start_time)
         )
@@ -667,16 +531,19 @@ class RowPatternWindow(StreamOperator):
 
     def _output(self, completed: CompletedMatch) -> Optional[StreamOutput]:
         """Return the output of a match, or None if a measure has no result."""
-        return self._make_output(completed.matched, self._end)
+        return self._make_output(completed.matched, completed.start_order, self._end)
 
-    def _make_output(self, matched: _MatchedElements, earliest_end: int) -> Optional[StreamOutput]:
-        """Return the output of elements, or None if a measure has no result.
+    def _make_output(
+        self, matched: SharedBufferNode, start_order: int, earliest_end: int
+    ) -> Optional[StreamOutput]:
+        """Return the output of a match, or None if a measure has no result.
 
         Args:
-            matched: the elements.
+            matched: node of its last element.
+            start_order: order of its first element.
             earliest_end: its end in ns, unless one of the elements ends later.
         """
-        assignments = _list_assignments(matched)
+        assignments = list_assignments(matched, start_order)
         meter = self.meter
         if meter is not None and meter(len(assignments)):
             return None
@@ -687,7 +554,7 @@ class RowPatternWindow(StreamOperator):
         results, error = results_or_error(lambda: self._results(assignments))
         return None if results is None else StreamOutput(contributors, start, end, results, error)
 
-    def _results(self, assignments: _StepAssignments) -> Optional[Values]:
+    def _results(self, assignments: StepAssignments) -> Optional[Values]:
         """Return the results of the measures of a match, or None if one has no result."""
         results = []
         if self._classifier.positions:
@@ -705,46 +572,61 @@ class RowPatternWindow(StreamOperator):
             results.append(result)
         return tuple(results)
 
+    def partial_match_steps(self) -> List[List[int]]:
+        """Return the numbers of the steps of the elements of each partial match."""
+        return [
+            [step for _, step in list_assignments(state.matched, state.start_order)]
+            for partition in self.states.values()
+            for state in partition.states
+            if state.matched is not None
+        ]
+
     @property
     def partitions(self) -> List[StoredPartition]:
         """The partitions, the least recently used one first; states and matches refer to elements by their order."""
-        return [
-            StoredPartition(
-                partition.reference_time,
-                list(partition.elements),
-                [_stored_state(state) for state in partition.states],
-                [_to_orders(_list_assignments(match.matched)) for match in partition.completed],
-            )
-            for partition in self.states.values()
-        ]
+        return list(map(stored_partition, self.states.values()))
 
     @partitions.setter
     def partitions(self, partitions: Sequence[StoredPartition]) -> None:
         # If elements are missing, the remaining ones are processed again.
         self.states.clear()
         self._element_count = self._state_count = 0
-        for reference_time, elements, states, completed in partitions:
-            if elements:
-                self._restore_partition(reference_time, elements, states, completed)
+        for partition in partitions:
+            if partition.elements:
+                self._restore_partition(partition)
 
     def partitions_type(self) -> FieldType[List[StoredPartition]]:
         """Return the type of `partitions`, which depends on the number of steps."""
-        position = integer(0, len(self.nfa.steps) - 1)
-        assignments = sequence_of(tuple_of(COUNT, integer(0, len(self.nfa.variables) - 1)), tuple)
+        nfa = self.nfa
+        state_types = [aggregate.function.make_fold(None).state_type for aggregate in nfa.aggregates]
+        nodes = rows_of(
+            StoredNode,
+            element=COUNT,
+            step=integer(0, len(nfa.variables) - 1),
+            previous=optional(COUNT),
+        )
         states = rows_of(
             StoredState,
-            step=integer(SCANNING, len(self.nfa.steps) - 1),
+            step=integer(SCANNING, len(nfa.steps) - 1),
             element_count=COUNT,
-            remaining_steps=optional(sequence_of(position, tuple, min_count=1)),
+            remaining_steps=optional(sequence_of(integer(0, len(nfa.steps) - 1), tuple, min_count=1)),
             targets=sequence_of(optional(COUNT), tuple),
-            assignments=assignments,
+            totals=tuple_of(*state_types),
+            last_node=optional(COUNT),
+            start_order=COUNT,
+        )
+        completed = rows_of(
+            StoredMatch,
+            last_node=COUNT,
+            start_order=COUNT,
         )
         return rows_of(
             StoredPartition,
             reference_time=INSTANT,
             elements=sequence_of(ELEMENT, min_count=1),
+            nodes=nodes,
             states=states,
-            completed=sequence_of(assignments),
+            completed=completed,
         )
 
     def can_continue(self, partition: StoredPartition) -> bool:
@@ -753,24 +635,20 @@ class RowPatternWindow(StreamOperator):
         The operator relies on these invariants: computation states and completed matches refer to elements of their
         partition, in order, and each state has an element for each navigation.
         """
-        _, elements, states, completed = partition
+        _, elements, nodes, states, completed = partition
         orders = [element.order for element in elements]
         targets = [order for state in states for order in state.targets if order is not None]
-        assigned = [
-            order for pairs in (*(state.assignments for state in states), *completed) for order, _ in pairs
-        ]
-        starts = [state.assignments[0][0] for state in states if state.assignments]
-        completed_starts = [pairs[0][0] for pairs in completed if pairs]
+        matches = [(match.last_node, match.start_order) for match in completed]
+        matches += [(state.last_node, state.start_order) for state in states if state.last_node is not None]
+        starts = [state.start_order for state in states if state.last_node is not None]
+        completed_starts = [match.start_order for match in completed]
         return (
             bool(states)
-            and all(completed)
             and orders == sorted(orders)
-            and {*targets, *assigned} <= set(orders)
+            and {*targets, *(node.element for node in nodes)} <= set(orders)
             and all(len(state.targets) == len(self.nfa.navigations) for state in states)
-            and all(bool(state.assignments) == (state.step != SCANNING) for state in states)
-            and all(
-                list(state.assignments) == sorted(state.assignments, key=itemgetter(0)) for state in states
-            )
+            and all((state.last_node is None) == (state.step == SCANNING) for state in states)
+            and are_paths(nodes, matches)
             and starts == sorted(starts)
             and all(state.step != SCANNING for state in states[:-1])
             # A match waits for a state that is preferred to it.
@@ -787,88 +665,45 @@ class RowPatternWindow(StreamOperator):
             steps = self.nfa.transitions_after(state.step, state.element_count).steps
         return bool(steps) and self.nfa.can_never_fail(steps)
 
-    def _restore_partition(
-        self,
-        reference_time: int,
-        elements: List[StreamElement],
-        states: Sequence[StoredState],
-        completed: Sequence[_Assignments],
-    ) -> None:
-        element_by_order = {element.order: element for element in elements}
+    def _restore_partition(self, stored: StoredPartition) -> None:
+        element_by_order = {element.order: element for element in stored.elements}
         partition = PartitionState([self._scanning_state()])
-        partition.reference_time = reference_time
-        partition.elements.extend(elements)
-        self._element_count += len(elements)
+        partition.reference_time = stored.reference_time
+        partition.elements.extend(stored.elements)
+        self._element_count += len(stored.elements)
         try:
-            partition.completed.extend(
-                CompletedMatch(_matched_elements(match, element_by_order), match[0][0]) for match in completed
-            )
-            partition.states = [self._state_of(state, element_by_order) for state in states]
-        except RuleError as error:
-            raise invalid_value(
-                elements[0].key_values, f"a row pattern with valid values: {error.message}"
-            ) from None
+            nodes: List[SharedBufferNode] = []
+            for order, step, previous in stored.nodes:
+                previous_node = None if previous is None else nodes[previous]
+                nodes.append(SharedBufferNode(element_by_order[order], step, previous_node))
+            states = [self._state_of(state, nodes, element_by_order) for state in stored.states]
         except KeyError:
             # Elements are missing.
-            partition.completed.clear()
-            partition.states = [self._scanning_state()]
-            for element in elements:
+            for element in stored.elements:
                 self._replace_states(partition, self._successors(partition.states, element))
-        self._store_partition(partition, elements[0].key)
-
-    def _state_of(self, stored: StoredState, element_by_order: Dict[int, StreamElement]) -> ComputationState:
-        """Return the state whose stored form `_stored_state` has returned."""
-        step, count, remaining_steps, target_orders, assignments = stored
-        targets = tuple([None if order is None else element_by_order[order] for order in target_orders])
-        if not assignments:
-            return ComputationState(
-                step, count, remaining_steps, targets, self.nfa.initial_totals, None, 0, 0
+        else:
+            partition.states = states
+            partition.completed.extend(
+                CompletedMatch(nodes[last_node], start_order) for last_node, start_order in stored.completed
             )
-        totals = self.nfa.initial_totals
-        for order, assigned_step in assignments:
-            totals = self.nfa.advance_totals(totals, assigned_step, element_by_order[order])
-        start_order = assignments[0][0]
+        self._store_partition(partition, stored.elements[0].key)
+
+    def _state_of(
+        self,
+        stored: StoredState,
+        nodes: Sequence[SharedBufferNode],
+        element_by_order: Dict[int, StreamElement],
+    ) -> ComputationState:
+        """Return the state whose stored form `stored_partition` has returned."""
+        if stored.last_node is None:
+            return self._scanning_state()
         return ComputationState(
-            step,
-            count,
-            remaining_steps,
-            targets,
-            totals,
-            _matched_elements(assignments, element_by_order),
-            start_order,
-            element_by_order[start_order].start,
+            stored.step,
+            stored.element_count,
+            stored.remaining_steps,
+            tuple([None if order is None else element_by_order[order] for order in stored.targets]),
+            stored.totals,
+            nodes[stored.last_node],
+            stored.start_order,
+            element_by_order[stored.start_order].start,
         )
-
-
-def _matched_elements(
-    assignments: Sequence[Tuple[int, int]], element_by_order: Dict[int, StreamElement]
-) -> _MatchedElements:
-    matched: Optional[_MatchedElements] = None
-    for order, step in assignments:
-        matched = _MatchedElements(element_by_order[order], step, matched)
-    # A match has at least one element.
-    assert matched is not None
-    return matched
-
-
-def _list_assignments(matched: Optional[_MatchedElements]) -> _StepAssignments:
-    """Return the elements of a match with their steps, the oldest first."""
-    assignments = []
-    while matched is not None:
-        assignments.append((matched.element, matched.step))
-        matched = matched.previous
-    return tuple(reversed(assignments))
-
-
-def _stored_state(state: ComputationState) -> StoredState:
-    return StoredState(
-        state.step,
-        state.count,
-        state.remaining_steps,
-        tuple([None if element is None else element.order for element in state.targets]),
-        _to_orders(_list_assignments(state.matched)),
-    )
-
-
-def _to_orders(assignments: _StepAssignments) -> _Assignments:
-    return tuple([(element.order, step) for element, step in assignments])

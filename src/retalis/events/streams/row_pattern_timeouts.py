@@ -11,8 +11,9 @@ from typing import Callable, Dict, Hashable, List, Optional, Sequence, Tuple
 
 from ...serialization.field_types import State
 from .aggregates import Accumulator
-from .row_pattern import CompletedMatch, ComputationState, PartitionState, RowPatternWindow, StepClassifier
+from .row_pattern import RowPatternWindow, StepClassifier
 from .row_pattern_automaton import RowPatternNFA, RowPatternSkip
+from .row_pattern_states import CompletedMatch, ComputationState, PartitionState
 from .stream_operators import KeyBounds, StreamElement, StreamOutput
 
 
@@ -110,7 +111,7 @@ class RowPatternTimeouts(RowPatternWindow):
 
     def _timeout_outputs(self, states: Sequence[ComputationState]) -> List[StreamOutput]:
         outputs = [
-            self._make_output(state.matched, state.start_time + self._timeout)
+            self._make_output(state.matched, state.start_order, state.start_time + self._timeout)
             for state in states
             if state.matched is not None
         ]
