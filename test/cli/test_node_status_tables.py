@@ -34,6 +34,15 @@ def test_list_begins_with_summary() -> None:
     assert format_list({**LISTED, "now": None}, has_engine=False) == ["node  /a", "time  -"]
 
 
+def test_state_of_forwarding_is_one_line() -> None:
+    state = "connected to mqtt://fleet:1883 for 5 min 2 s, 3 events queued"
+    record = {**LISTED, "forwarding": state}
+    assert format_list(record)[-1] == f"forwarding  {state}"
+    # A narrow terminal wraps it.
+    lines = format_status(record, record, 1.0, 60)[-2:]
+    assert lines == ["forwarding  connected to mqtt://fleet:1883 for 5 min 2 s, 3", "events queued"]
+
+
 def test_list_names_published_and_subscribed_topics() -> None:
     tables = {
         "subscriptions": [{"topic": "alarms", "sent": 3}],

@@ -227,6 +227,14 @@ def test_running_goal_is_shown(page: Any, program: Any) -> None:
     page.wait_for("document.getElementById('busy').hidden")
 
 
+def test_state_of_forwarding_is_shown(browser: Any, page: Any) -> None:
+    assert page.ask("document.getElementById('forwarding').hidden")
+    with serving(forwarding=lambda: "connected for 5 s") as dashboard:
+        browser.open(dashboard.url)
+        browser.wait_for(IS_OPEN)
+        wait_for_text(browser, "#forwarding", "Forwarding: connected for 5 s")
+
+
 def test_graph_shows_nodes_and_edges_of_program(page: Any, program: Any) -> None:
     program.load(rules="quiet(X) <- (smoke(X) seq heat(X)) cnot known(X) where owner(X). owner(hall).")
     graph = program_graph(program, GRAPH_TOPICS)

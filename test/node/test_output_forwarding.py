@@ -1,6 +1,7 @@
 """Forwarding of a node's outputs: selected topics, times, diagnostics."""
 
 import logging
+import re
 from pathlib import Path
 from queue import SimpleQueue
 from typing import Any, Dict, List
@@ -18,7 +19,7 @@ from retalis.forwarding.event_forwarder import ForwardingStatus
 from retalis.messages.message_dictionaries import read_message_term
 from retalis.messages.type_registry import InstalledTypes
 from retalis.node.diagnostics import DIAGNOSTICS_TOPIC, DIAGNOSTICS_TYPE, CounterTrends, Level
-from retalis.node.output_forwarding import evaluate_forwarding
+from retalis.node.output_forwarding import describe_forwarding, evaluate_forwarding
 
 pytest.importorskip("paho.mqtt.client", reason="needs paho-mqtt")
 
@@ -187,6 +188,7 @@ def test_node_does_not_start_with_queue_of_other_node(network: MemoryNetwork, pr
 STATUS = ForwardingStatus(
     broker="mqtt://fleet:1883",
     is_connected=True,
+    state_seconds=75.2,
     problem="",
     storage_problem="",
     queued=3,
@@ -225,6 +227,33 @@ STATUS = ForwardingStatus(
 def test_level_of_forwarding(changes: Any, level: Level, message: str) -> None:
     health = evaluate_forwarding(7.0, CounterTrends(), STATUS._replace(**changes))
     assert (health.level, health.message) == (level, message)
+
+
+@pytest.mark.parametrize(
+    ("changes", "state"),
+    [
+        ({}, "connected to mqtt://fleet:1883 for 1 min 15 s"),
+        (
+            {"is_connected": False, "problem": "refused", "state_seconds": 0.7},
+            "not connected to mqtt://fleet:1883 (refused) for 1 s",
+        ),
+    ],
+)
+def test_description_has_state_and_counters(changes: Any, state: str) -> None:
+    status = STATUS._replace(dropped=2, oversized=1, **changes)
+    counters = "3 events queued (2.0 of 100 MB), 10 forwarded, 3 lost"
+    assert describe_forwarding(status) == f"{state}, {counters}"
+
+
+def test_list_has_state_of_forwarding(network: MemoryNetwork, program: Path) -> None:
+    host = start_host(network, program, **parameters(program, "fleet"))
+    state = network.call("/retalis/list", most=0)["forwarding"]
+    host.transport.shut_down()
+    assert re.fullmatch(
+        rf"not connected to {UNREACHABLE}( \(.*\))? for \d+ s, 0 events queued \(0\.0 of \d+ MB\), "
+        r"0 forwarded, 0 lost",
+        state,
+    )
 
 
 def test_loss_is_an_error_for_some_seconds() -> None:

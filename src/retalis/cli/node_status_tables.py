@@ -50,6 +50,8 @@ def format_list(record: PlainRecord, has_engine: bool = True) -> List[str]:
             ["problems", ", ".join(problems)],
             ["alarms", str(record["alarms"])],
         ]
+    if record.get("forwarding"):
+        summary.append(["forwarding", record["forwarding"]])
     lines = _align_columns(summary)
     for name, title in _LIST_TITLES.items():
         rows, omitted_count = record.get(name), record.get(f"more_{name}")
@@ -112,6 +114,8 @@ def format_status(
     # Non-breaking spaces keep each part in one line while the text is wrapped.
     lines = wrap("  ".join(part.replace(" ", "\xa0") for part in summary), terminal_width)
     lines = [line.replace("\xa0", " ") for line in lines]
+    if current.get("forwarding"):
+        lines += wrap(f"forwarding  {current['forwarding']}", terminal_width)
     for name, table_form in _TABLE_FORMS.items():
         if current.get(name):
             rows = _format_rows(table_form, before.get(name, ()), current[name], time, terminal_width - 2)

@@ -309,12 +309,14 @@ class DashboardSource(NamedTuple):
     Attributes:
         topics: returns the subscribed topics.
         allows_queries: whether users of the page may ask goals.
+        forwarding: returns the state of the forwarding of outputs; "" if nothing is forwarded.
     """
 
     engine: Engine
     title: str
     topics: Callable[[], Sequence[TopicRow]] = tuple
     allows_queries: bool = False
+    forwarding: Callable[[], str] = str
 
 
 class Snapshot(NamedTuple):
@@ -325,6 +327,7 @@ class Snapshot(NamedTuple):
         explains: whether events can be explained.
         watching: whether events are observed.
         memory: resident memory of the process in bytes.
+        forwarding: state of the forwarding of outputs, a text; "" if nothing is forwarded.
         rates: growth of each counter per second, by the name of the counter.
         topics: the topics as dictionaries with the fields of `TopicRow`.
         events: the last events as dictionaries with the fields of `RecentEvent`, with times in seconds.
@@ -336,6 +339,7 @@ class Snapshot(NamedTuple):
     explains: bool
     watching: bool
     memory: int
+    forwarding: str
     rates: Dict[str, float]
     topics: List[Json]
     events: List[Json]
@@ -387,6 +391,7 @@ class Snapshots:
             explains=records_origins(self._engine),
             watching=self.events.is_observing,
             memory=resident_bytes(),
+            forwarding=self._source.forwarding(),
             rates=self._compute_rates(counters),
             topics=rows,
             events=[

@@ -5,6 +5,7 @@ transaction, so that under load many events share one synchronization with the d
 """
 
 import threading
+import time
 from collections import deque
 from typing import Deque, List, NamedTuple
 
@@ -40,6 +41,7 @@ class ForwardingStatus(NamedTuple):
     Attributes:
         broker: address of the broker.
         is_connected: whether there is a connection.
+        state_seconds: time in seconds since there is one, or none.
         problem: reason why there is none, or why the last one ended; may be empty.
         storage_problem: reason why events cannot be stored now; "" if they can.
         queued: number of events that the broker has not acknowledged.
@@ -56,6 +58,7 @@ class ForwardingStatus(NamedTuple):
 
     broker: str
     is_connected: bool
+    state_seconds: float
     problem: str
     storage_problem: str
     queued: int
@@ -143,6 +146,7 @@ class EventForwarder:
         return ForwardingStatus(
             broker=str(self._options.broker),
             is_connected=sender.is_connected,
+            state_seconds=time.monotonic() - sender.changed_at,
             problem=sender.problem,
             storage_problem=self._storage_problem,
             queued=queue.count + len(self._buffer),

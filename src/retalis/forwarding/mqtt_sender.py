@@ -138,6 +138,7 @@ class MqttSender:
 
     Attributes:
         is_connected: whether the broker has accepted the connection.
+        changed_at: time of the monotonic clock in seconds since when ``is_connected`` has its value.
         problem: reason of the end of the last connection, or of the last failure to connect; "" if there is none.
         connection_count: number of connections.
         confirmed_count: number of events that the broker has acknowledged.
@@ -154,6 +155,7 @@ class MqttSender:
         self._topic = f"retalis/{robot}/events"
         self._queue = queue
         self.is_connected = False
+        self.changed_at = time.monotonic()
         self.problem = ""
         self.connection_count = self.confirmed_count = self.repeated_count = 0
         self._has_new_events = True
@@ -212,6 +214,8 @@ class MqttSender:
         self._wake_sender.close()
 
     def _record_end(self, reason: str, was_connected: bool) -> None:
+        if was_connected:
+            self.changed_at = time.monotonic()
         self.is_connected = False
         # Once for each outage: the attempts to connect fail for the same reason, or an equivalent one.
         if was_connected or not self.problem:
@@ -299,6 +303,7 @@ class MqttSender:
         if self.is_connected:
             return
         self.is_connected = True
+        self.changed_at = time.monotonic()
         self.connection_count += 1
         self.problem = ""
         log.info(

@@ -69,6 +69,7 @@ class NodeDashboard:
         allow_queries: bool,
         engine: Engine,
         inputs: Callable[[], Sequence[InputStatus]],
+        forwarding: Callable[[], str],
         program_topics: Sequence[TopicType],
         event_names: Callable[[], Iterable[TopicEvent]] = tuple,
     ):
@@ -84,7 +85,7 @@ class NodeDashboard:
         self.url = ""
         if port is None:
             return
-        source = DashboardSource(engine, transport.node_name, self.topics, allow_queries)
+        source = DashboardSource(engine, transport.node_name, self.topics, allow_queries, forwarding)
         try:
             page = Dashboard(source, port, port_count=MAX_PORTS_TRIED)
         except UsageError as error:

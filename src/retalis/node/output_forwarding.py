@@ -8,7 +8,7 @@ from ..forwarding.disk_queue import ForwardedEvent
 from ..forwarding.event_forwarder import EventForwarder, ForwardingStatus
 from ..forwarding.forwarding_options import ForwardingOptions
 from ..foundation.bounded_caches import Cache
-from ..foundation.displayed_text import format_count
+from ..foundation.displayed_text import format_count, format_duration, printable, shorten
 from ..foundation.errors import RetalisError, UsageError
 from ..foundation.similar_names import did_you_mean
 from ..prolog.syntax.term_writer import canonical_text
@@ -100,11 +100,31 @@ class OutputForwarding:
             # A pattern, which is absolute, or a topic of a subscription that is no valid name.
             return topic
 
+    def describe(self) -> str:
+        """Return the state and the counters as one line."""
+        return describe_forwarding(self.status())
+
     def evaluate(self, now: float) -> List[Health]:
         """Return the status of the forwarding at an instant of the monotonic clock."""
         health = evaluate_forwarding(now, self._trends, self.status(), self._unused_topics)
         self._trends.remove_unrecorded()
         return [health]
+
+
+def describe_forwarding(status: ForwardingStatus) -> str:
+    """Return the state and the counters of a forwarder as one line."""
+    duration = format_duration(round(status.state_seconds))
+    reason = f" ({printable(shorten(status.problem))})" if status.problem else ""
+    state = (
+        f"connected to {status.broker}"
+        if status.is_connected
+        else f"not connected to {status.broker}{reason}"
+    )
+    size = f"{status.used_bytes / 1e6:.1f} of {status.max_bytes / 1e6:.0f} MB"
+    return (
+        f"{state} for {duration}, {format_count(status.queued, 'event')} queued ({size}), "
+        f"{status.confirmed} forwarded, {status.lost} lost"
+    )
 
 
 def evaluate_forwarding(

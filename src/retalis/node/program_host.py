@@ -215,6 +215,9 @@ class ProgramHost:
         self._stop_checkpoints = stop
         self._transport.on_shutdown(stop)
 
+    def _describe_forwarding(self) -> str:
+        return "" if self._forwarding is None else self._forwarding.describe()
+
     def _is_forwarded(self, topic: str) -> bool:
         return self._forwarding is not None and self._forwarding.includes(topic)
 
@@ -347,7 +350,7 @@ class ProgramHost:
             self._topics,
             self._on_reload,
         )
-        ListService(transport, self._subscribed.statuses, engine.status)
+        ListService(transport, self._subscribed.statuses, engine.status, forwarding=self._describe_forwarding)
 
     def _explain_missing_source(self, pattern: Term) -> str:
         """Return the reason why no events of a pattern are expected; "" if there may be some."""
@@ -432,6 +435,7 @@ class ProgramHost:
             allow_queries=parameters.dashboard_queries,
             engine=self.engine,
             inputs=self._subscribed.statuses,
+            forwarding=self._describe_forwarding,
             program_topics=[*self._topics.subscribed, *self._program.direct],
             event_names=lambda: self.engine.with_requested_topics(self._topics).events,
         )

@@ -405,6 +405,7 @@ class ListService:
         inputs: returns the counters of the subscribed topics.
         status: returns the status of the engine with a limited number of items of each kind; None without an engine.
         reports: problem counts of a node without an engine.
+        forwarding: returns the state of forwarding; "" if nothing is forwarded.
     """
 
     def __init__(
@@ -413,8 +414,10 @@ class ListService:
         inputs: Callable[[], Sequence[InputStatus]],
         status: Optional[Callable[[int], Status]] = None,
         reports: Optional[Reports] = None,
+        forwarding: Callable[[], str] = str,
     ):
         self._transport = transport
+        self._get_forwarding = forwarding
         self._get_inputs = inputs
         self._get_status = status
         self._reports = reports
@@ -428,6 +431,7 @@ class ListService:
             "result": OK,
             "inputs": [_describe_input(status) for status in inputs[:limit]],
             "more_inputs": max(0, len(inputs) - limit),
+            "forwarding": self._get_forwarding(),
         }
         if self._get_status is None:
             response["now"] = self._transport.now()

@@ -142,6 +142,12 @@ function showWork({ status }) {
   set(place, `Busy for ${seconds(work.seconds)} with ${work.what}${doing ? `: ${doing}` : ""}`);
 }
 
+function showForwarding({ forwarding }) {
+  const place = find("forwarding");
+  place.hidden = !forwarding;
+  set(place, `Forwarding: ${forwarding}`);
+}
+
 function more(rows, left, columns) {
   if (left) rows.push({ key: "more", cells: [{ text: `and ${left} more`, kind: "none", columns }] });
   return rows;
@@ -262,8 +268,8 @@ function show(snapshot) {
   document.title = `${snapshot.title} – retalis`;
   set(find("title"), snapshot.title);
   find("asking").hidden = !snapshot.queries;
-  for (const part of [showTiles, showWork, showTopics, showSubscriptions, showMemories, showWaiting, showRules,
-    showEvents]) part(snapshot);
+  for (const part of [showTiles, showWork, showForwarding, showTopics, showSubscriptions, showMemories,
+    showWaiting, showRules, showEvents]) part(snapshot);
   if (graph) showGraph(snapshot.rates);
   document.body.dataset.looks = Number(document.body.dataset.looks || 0) + 1;
 }
