@@ -99,7 +99,6 @@ TERM_FLAGS = ReadFlags()
 """Read flags for goals and patterns."""
 
 EVENT_FLAGS = ReadFlags(is_constructed=True)
-"""Read flags for events."""
 
 Instant = Union[int, Term]
 """A time: a number of seconds since the epoch, or a timestamp term."""

@@ -22,7 +22,6 @@ from .cdr_decoder import (
 from .type_definition import SerializationFormat
 
 TRANSFORM_TYPES = ("tf2_msgs/TFMessage", "tf/tfMessage")
-"""Types of messages with transforms."""
 
 STATIC_TRANSFORM_TOPIC = "/tf_static"
 TRANSFORM_TOPICS = ("/tf", STATIC_TRANSFORM_TOPIC)

@@ -53,7 +53,6 @@ MAX_MESSAGE_LEVELS = 60
 """Maximum depth of a message in Parquet's schema, in which a list has two levels: pyarrow reads at most 100."""
 
 _ROW_GROUP_SIZE = 10_000
-"""Maximum number of rows in a row group."""
 
 _ROW_GROUP_BYTES = 1 << 23
 """Size of texts and messages from which a row group is written, so that large messages do not fill the memory."""

@@ -31,7 +31,6 @@ from .playback import Output, Pause, Playback, ReadRecords
 from .rosbag1 import Record
 
 PORTION_MESSAGES = 200
-"""Maximum number of messages in a portion."""
 
 PORTION_BYTES = 1 << 20
 """Number of bytes of messages after which a portion ends."""

@@ -314,7 +314,6 @@ def _parse_epoch_mark(text: str) -> Optional[int]:
 
 
 _MARK_PREFIX = "event(retalis_"
-"""Prefix of all marks."""
 
 
 def make_text_handler_factory(

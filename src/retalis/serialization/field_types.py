@@ -62,7 +62,6 @@ MAX_INSTANT = 1 << 80
 """Limit of instants in ns: larger than any value by which the engine itself represents "never"."""
 
 MAX_COUNT = (1 << 63) - 1
-"""Maximum of counts."""
 
 MAX_KEY_DEPTH = 8
 """Maximum nesting of keys: hashing a deeply nested tuple would overflow the stack of the process."""

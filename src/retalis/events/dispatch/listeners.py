@@ -20,7 +20,6 @@ class ListenerPhase(IntEnum):
 
 
 ListenerStep = Tuple[Matcher, EventAction]
-"""Matcher and action of a listener."""
 
 
 class Listener:

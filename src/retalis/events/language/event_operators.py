@@ -619,7 +619,6 @@ EVENT_OPERATORS: Tuple[EventOperator, ...] = (
 """All event operators, the highest priority first, as ``current_op/3`` lists them."""
 
 EVENT_OPERATORS_BY_NAME: Dict[str, EventOperator] = {operator.name: operator for operator in EVENT_OPERATORS}
-"""Event operators by name."""
 
 PAIR_OPERATORS: Dict[str, EventOperator] = {
     operator.name: operator for operator in EVENT_OPERATORS if operator.kind is OperatorKind.PAIR

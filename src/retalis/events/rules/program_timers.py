@@ -40,7 +40,6 @@ if TYPE_CHECKING:
 
 
 MAX_TIMERS = 10_000
-"""Maximum number of timers."""
 
 MAX_FIRINGS_PER_JUMP = 10_000
 """Maximum number of events of one timer for one jump of time; beyond that only the last one is emitted."""

@@ -922,7 +922,6 @@ AGGREGATES: Dict[str, AggregateFunction] = {
         ),
     )
 }
-"""All aggregate functions by name."""
 
 
 class SequenceAggregate:

@@ -172,7 +172,6 @@ class StepGroup(NamedTuple):
 
 
 PatternPart = Union[int, StepGroup]
-"""Number of a step, or a group."""
 MAX_POSITIONS = 1000
 """Maximum number of positions of an automaton."""
 

@@ -418,7 +418,6 @@ def _is_partial_list(term: Term) -> bool:
 
 
 _ITEM_TYPES_OF_LISTS = {"chars": atom("char"), "codes": atom("code")}
-"""Types of the items for types of lists."""
 
 _GROUND_TYPES = frozenset(("text", "string", "rational", "ground", "oneof"))
 """Types without variables: a term that contains some is an instantiation error, because it may still get the type."""

@@ -404,7 +404,6 @@ class EventReader:
             _MAX_SKELETONS, _BUILDER_BYTES_PER_CHARACTER * 256_000, _BUILDER_BYTES_PER_CHARACTER * 60_000
         )
         self._readers_by_skeleton: Cache[str, Optional[TextReader]] = Cache(_MAX_SKELETONS, 8 << 20)
-        """Text readers by skeleton."""
         self._reader_by_name: Cache[str, Optional[TextReader]] = Cache(_MAX_EVENT_NAMES, 1 << 18)
         """Text readers by event name; None if the last text did not match."""
         self._last_skeleton_by_name: Cache[str, str] = Cache(_MAX_EVENT_NAMES, 1 << 20)
