@@ -644,12 +644,7 @@ _PROCESS_LOCK = threading.Lock()
 
 
 def play_bag(task: BagTask, scratch: str) -> BagOutcome:
-    """Play a bag and write its result and manifest; all errors are part of the returned outcome.
-
-    Args:
-        task: the bag.
-        scratch: folder for temporary files.
-    """
+    """Play a bag and write its result and manifest; all errors are part of the returned outcome."""
     if task.manifest is None:
         return _play_bag(task, scratch)[0]
     outcome = BagOutcome(0, "")

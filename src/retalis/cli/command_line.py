@@ -126,11 +126,7 @@ def main(arguments: Optional[List[str]] = None) -> int:
 
 
 def make_parser(words: List[str]) -> Tuple[ShortHelpParser, Dict[str, ShortHelpParser]]:
-    """Return the parser of a command line, and the parsers of the commands by name.
-
-    Args:
-        words: the command line; only the parser of its command is created, or all parsers if it has none.
-    """
+    """Return the parser of a command line, and by name that of its command, or those of all if it has none."""
     parser = ShortHelpParser(
         prog="retalis",
         description="Event rules and a knowledge base for robots.",

@@ -17,11 +17,7 @@ RELATIVE_TIMES_OPTION = "--times=relative"
 
 
 def non_negative(number_type: Callable[[str], float]) -> NumberConverter:
-    """Return a converter for numbers of 0 or more.
-
-    Args:
-        number_type: ``int`` or ``float``.
-    """
+    """Return a converter for numbers of 0 or more."""
     name = "a whole number" if number_type is int else "a number"
     return _make_converter(number_type, lambda number: 0 <= number < float("inf"), f"{name} of 0 or more")
 

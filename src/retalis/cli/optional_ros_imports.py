@@ -57,11 +57,7 @@ def _missing_ros(error: ImportError) -> UsageError:
 
 
 def installed_definitions(extra_folders: Sequence[str] = ()) -> "Definitions":
-    """Return the message types of the system.
-
-    Args:
-        extra_folders: folders that are searched first; each is a package or contains packages.
-    """
+    """Return the message types of the system, with those of packages in further folders, which are searched first."""
     # Commands for a running node import this module, but read no message types.
     from ..messages.type_registry import Definitions, InstalledTypes  # noqa: PLC0415
 

@@ -49,12 +49,7 @@ class _ReadSlot(NamedTuple):
 
 
 def make_files(name: str, topics: Sequence[ProgramTopic]) -> Dict[str, str]:
-    """Return the texts of a new program's files by their paths.
-
-    Args:
-        name: name of the program.
-        topics: its topics, at least one.
-    """
+    """Return the texts of a new program's files by their paths; it has at least one topic."""
     values = [_find_value(topic.definition, ()) for topic in topics]
     pairs = list(zip(topics, values))
     return {

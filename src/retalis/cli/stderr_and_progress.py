@@ -65,11 +65,7 @@ class StderrReporter(logging.Handler):
         print(f"{label}: {text}", file=sys.stderr)
 
     def attach(self, show_events: bool = False) -> "StderrReporter":
-        """Report the log records of the package until `detach_reporters` is called.
-
-        Args:
-            show_events: whether to report the events that the program requests to be shown, too.
-        """
+        """Report log records of the package, and events on request, until `detach_reporters` is called."""
         if show_events:
             _event_logger.setLevel(logging.INFO)
         _goal_logger.setLevel(logging.INFO)

@@ -223,12 +223,7 @@ _LABEL_PREFIX = "added_"
 
 
 def add_rule(engine: Engine, text: str, label: str = "") -> str:
-    """Add one event rule with the checks of an event file; return its label for `delete_rule`.
-
-    Args:
-        engine: the engine.
-        text: text of the rule.
-        label: label of the rule; by default its own, or a new one.
+    """Add one event rule with the checks of an event file; return its label, by default its own or a new one.
 
     Raises:
         SyntaxFault: if the text is not a term.

@@ -420,11 +420,7 @@ class StatusReader:
         self._texts: _CachedTexts = {}
 
     def read(self, limit: int) -> Status:
-        """Return the status.
-
-        Args:
-            limit: limit for the listed items of each kind.
-        """
+        """Return the status, with up to ``limit`` listed items of each kind."""
         rules_of_program, knowledge = self._program.rules, self._program.knowledge
         executor, clock = self._executor, rules_of_program.clock
         texts: _CachedTexts = {}

@@ -38,13 +38,7 @@ class Cache(Dict[Key, Value]):
         self.total_bytes = 0
 
     def store(self, key: Key, value: Value, size: int) -> Value:
-        """Store the value of a key unless it is too large; return the value.
-
-        Args:
-            key: the key.
-            value: the value.
-            size: size of key and value in bytes.
-        """
+        """Store the value of a key, unless their size in bytes is too large; return the value."""
         # A cache of many tiny entries would otherwise take a multiple of its limit.
         size += ENTRY_BYTES
         if size <= self.max_entry_bytes:

@@ -165,12 +165,7 @@ def open_output(target: Union[str, Path], keep_on_interrupt: bool = False) -> It
 
 
 def write_xml(target: Path, root: "Element", creates_folder: bool = False) -> None:
-    """Write an XML document, in place of an existing file.
-
-    Args:
-        target: path of the file.
-        root: root of the document.
-        creates_folder: whether a missing folder of the file is created.
+    """Write an XML document, in place of an existing file, and on request in a new folder.
 
     Raises:
         UsageError: if the file cannot be written.

@@ -10,11 +10,7 @@ _texts: "ContextVar[Mapping[str, str]]" = ContextVar("unsaved_files")
 
 @contextmanager
 def unsaved_files(texts: Mapping[str, str]) -> Iterator[None]:
-    """Let the readers of files return other texts than those of the disk.
-
-    Args:
-        texts: texts by the real paths of their files.
-    """
+    """Let the readers of files return other texts, given by real path, than those of the disk."""
     token = _texts.set(texts)
     try:
         yield

@@ -267,12 +267,7 @@ class CdrDecoderGenerator(DecoderGenerator):
     # Runs of slots of fixed size.
 
     def add_to_run(self, code: str, alignment: int = 0) -> str:
-        """Add a value to the run, by its `struct` code; return the variable that holds it.
-
-        Args:
-            code: the code.
-            alignment: alignment of the value; by default that of the code.
-        """
+        """Add a value to the run, by its `struct` code and its alignment; return the variable that holds it."""
         size = Struct("<" + code).size
         alignment = alignment or _natural_alignment(code)
         if alignment > self._alignment:

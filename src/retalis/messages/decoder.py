@@ -798,12 +798,7 @@ def make_watching_decoder(decoder: Decoder, watch: StampWatch) -> Decoder:
 
 
 def compile_frame_decoder_or(fallback: Decode, decoder: Decoder) -> Decode:
-    """Return a decoding function for the layout of `FrameDecoderGenerator`, or ``fallback`` for other types.
-
-    Args:
-        fallback: decodes messages of any layout.
-        decoder: decoder of the type.
-    """
+    """Return a decoding function for the layout of `FrameDecoderGenerator`, or ``fallback`` for other types."""
     try:
         return _compile_frame_decoder(decoder, fallback)
     except UnsupportedLayout:

@@ -614,11 +614,6 @@ def find_fault(definition: Definition, term: Term, topic: str = "") -> Optional[
     """Return why a term with variables cannot become a message of a type, or None if it can.
 
     Types whose smallest message exceeds `MAX_CHECKED_BYTES` are not checked.
-
-    Args:
-        definition: the type.
-        term: the term.
-        topic: name for the error text.
     """
     # Filling in values would allocate a message of that size for a check before start.
     if definition.measure.min_size > MAX_CHECKED_BYTES:

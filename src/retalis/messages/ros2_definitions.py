@@ -158,9 +158,6 @@ class Interface(NamedTuple):
     def split(self, text: str) -> Dict[str, str]:
         """Return the definitions of all types that are derived from it.
 
-        Args:
-            text: text of the ``.srv`` or ``.action`` file.
-
         Raises:
             MessageError: if the text has not as many parts as it must have.
         """

@@ -88,12 +88,7 @@ class PrintedLines:
 
 
 def print_goal_output(logic: PrologSystem, on_shutdown: Callable[[Callable[[], object]], object]) -> None:
-    """Redirect the output of goals to `PrintedLines`, so that it cannot be mistaken for log records.
-
-    Args:
-        logic: Prolog system of the program.
-        on_shutdown: registers a function to call when the node ends.
-    """
+    """Redirect the output of goals to `PrintedLines`, so that it cannot be mistaken for log records."""
     streams = PrintedLines("stdout"), PrintedLines("stderr")
     logic.print_to(*streams)
     for stream in streams:

@@ -192,10 +192,6 @@ class Parameters(NamedTuple):
 def read_parameters(values: Mapping[str, Any], find_program: Callable[[], Path]) -> Parameters:
     """Return the parameters of a node.
 
-    Args:
-        values: the given parameters by name.
-        find_program: returns the folder of the program if parameter ``~program`` is not given.
-
     Raises:
         UsageError: if a value is invalid; the message names the parameter.
     """
@@ -239,10 +235,7 @@ def read_parameters(values: Mapping[str, Any], find_program: Callable[[], Path])
 
 
 def read_adjustable_parameters(values: Mapping[str, Any]) -> AdjustableParameters:
-    """Return the parameters that can be changed while the node runs.
-
-    Args:
-        values: the given parameters by name; others are ignored.
+    """Return the parameters that can be changed while the node runs; other ones are ignored.
 
     Raises:
         UsageError: if a value is invalid; the message names the parameter.

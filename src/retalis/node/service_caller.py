@@ -54,11 +54,7 @@ class ServiceCaller:
         self._transport.call_service(name, call)
 
     def find_refusal(self, service: str) -> str:
-        """Return the reason why goals may not call a service, or "".
-
-        Args:
-            service: its name as written in a goal.
-        """
+        """Return the reason why goals may not call a service, or ""."""
         try:
             self._resolve_allowed(service)
         except UsageError as error:

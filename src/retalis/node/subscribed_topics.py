@@ -218,12 +218,7 @@ class SubscribedTopics:
         self._lock = threading.Lock()
 
     def subscribe(self, topic: str, message_type: str, event_name: str = "") -> None:
-        """Subscribe to a topic; each message becomes an event.
-
-        Args:
-            topic: name of the topic.
-            message_type: message type.
-            event_name: name of the events; by default it is derived from the type.
+        """Subscribe to a topic; each message becomes an event, by default with the name of its type.
 
         Raises:
             UsageError: if the topic is subscribed already, or a name is invalid.
@@ -311,10 +306,6 @@ class SubscribedTopics:
 
     def subscribe_texts(self, topic: str, make_handler: HandlerFactory) -> ContextManager[object]:
         """Subscribe to a topic of texts between nodes, without the texts of this node.
-
-        Args:
-            topic: name of the topic.
-            make_handler: returns the handler of the ``std_msgs/String`` messages of a source.
 
         Returns:
             The lock under which the texts are processed.
@@ -784,11 +775,7 @@ class RequestQueue:
         self._requests.put(request)
 
     def start(self, *executors: Callable[[TopicRequest], object]) -> None:
-        """Execute the queued requests, and start the thread for later ones.
-
-        Args:
-            executors: functions to call for each request.
-        """
+        """Execute the queued requests, and start the thread for later ones."""
 
         def execute_next(request: Optional[TopicRequest]) -> bool:
             if request is None:

@@ -74,11 +74,6 @@ def resolve_subscribable_topic(
 ) -> str:
     """Return the full name of a topic that a program may subscribe to.
 
-    Args:
-        topic: name of the topic.
-        resolve_topic: returns the full name.
-        reserved: topics of the exchange of texts.
-
     Raises:
         UsageError: if the name is invalid, or the topic is reserved.
     """

@@ -355,10 +355,6 @@ def remove_location(location: str) -> None:
 def local_copy(location: str, scratch: str) -> Iterator[str]:
     """Provide the local path of a bag; a bag at a URL is downloaded and deleted afterwards.
 
-    Args:
-        location: path or URL.
-        scratch: folder for the download.
-
     Raises:
         BagError: if the download fails.
     """

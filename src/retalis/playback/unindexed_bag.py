@@ -189,12 +189,7 @@ class UnindexedBag:
         return position, position == index_position
 
     def _add_chunk(self, record: _RecordLocation, position: int) -> Optional[int]:
-        """Find the messages of a chunk; return the position of the break if it is in the chunk.
-
-        Args:
-            record: the chunk.
-            position: offset of its record.
-        """
+        """Find the messages of a chunk; return the position of the break if it is in the chunk."""
         is_cut = record.end > self._size
         record = record._replace(data_size=min(record.data_size, self._size - record.data_position))
         chunk = _UnindexedChunk(MAX_TIME, -1, record, _read_size(record), is_cut, frozenset())

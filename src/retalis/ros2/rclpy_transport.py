@@ -438,10 +438,6 @@ class RequestThreads:
     def run(self, function: Callable[[], object], executor: Executor) -> Future:
         """Call a function as `submit` does; return a future with its end or error, which a callback can wait for.
 
-        Args:
-            function: the function, which may raise errors.
-            executor: runs the callback.
-
         Raises:
             UsageError: see `submit`.
         """
@@ -547,9 +543,6 @@ def read_node_parameters(node: Node) -> Dict[str, Any]:
 
 def nest_parameters(parameters: Mapping[str, Any]) -> Dict[str, Any]:
     """Return parameters that have a value as nested dictionaries.
-
-    Args:
-        parameters: parameters of rclpy by name, in which points separate the groups.
 
     Raises:
         UsageError: if a parameter is both a value and a group.

@@ -605,13 +605,7 @@ def nested_pairs_of(content: FieldType[Item]) -> FieldType[NestedPairs[Item]]:
 def stored_as(
     content: FieldType[Item], make: Callable[[Item], Value], stored: Callable[[Value], Item]
 ) -> FieldType[Value]:
-    """Return the type of values that are stored as values of another type.
-
-    Args:
-        content: type of the stored values.
-        make: makes a value from a stored one.
-        stored: returns the stored value of a value.
-    """
+    """Return the type of values that are stored as values of another type."""
 
     def checker(context: ReadContext) -> ValueCheck[Value]:
         check = content.checker(context)

@@ -279,10 +279,6 @@ def _object_schema(keys: Mapping[str, MappingKey], required: Tuple[str, ...] = (
 def read_case_file(path: Path, needs_program: bool = True) -> List[Case]:
     """Read the cases of a file.
 
-    Args:
-        path: the file.
-        needs_program: whether a case without program is an error.
-
     Raises:
         CaseFileError: if the file cannot be read, or its content is wrong, with line and column.
     """

@@ -322,11 +322,6 @@ class ClockSkewMonitor:
 
         The caller must call both `decode` and `stamp`, because either may run the check. The check raises
         `RefusedMessage` for a message to be dropped, and `EarlyMessage` for one to be delayed.
-
-        Args:
-            decoder: decoder of the message type.
-            topic: name of the topic.
-            publisher: name of the publisher, for warnings.
         """
         frames = self._topics.get(topic)
         if frames is None:

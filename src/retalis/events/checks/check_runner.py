@@ -201,12 +201,7 @@ class Finding(NamedTuple):
 
 
 def run_checks(program: ProgramModel, is_valid: bool = True) -> Iterator[Finding]:
-    """Yield the findings of all checks, without duplicates.
-
-    Args:
-        program: the program.
-        is_valid: whether it was loaded without errors.
-    """
+    """Yield the findings of all checks, without duplicates."""
     reported: Set[Tuple[str, Optional[Place]]] = set()
     check_of_place: Dict[Tuple[str, Optional[Place]], Check] = {}
     suppressions = Suppressions()

@@ -399,11 +399,6 @@ def find_output_fault(definition: Definition, subscription: CompoundTerm, topic:
     """Return the reason why the output of a subscription is not a message of a type, or None.
 
     The answer is None as well if it depends on the values of variables.
-
-    Args:
-        definition: the type.
-        subscription: the goal ``subscribe/5``.
-        topic: the topic, for the message.
     """
     output = deref(EventConsumer(subscription, "", no_place).output_term)
     # The event itself is sent if the form is a variable, and events may be anything.

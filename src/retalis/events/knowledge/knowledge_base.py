@@ -140,11 +140,7 @@ class KnowledgeBase:
         self.subscriptions.return_to(instant)
 
     def reset(self, includes_past: bool) -> None:
-        """Remove what has begun and not ended, as rules remove partial matches.
-
-        Args:
-            includes_past: also remove past states.
-        """
+        """Remove what has begun and not ended, as rules remove partial matches, and on request past states."""
         self.subscriptions.clear()
         self.states.close(includes_past)
 

@@ -682,12 +682,7 @@ RESERVED_FACT_FUNCTORS = frozenset(
 
 
 def names_of_kind(kind: OperatorKind, **attributes: bool) -> Tuple[str, ...]:
-    """Return the names of the operators of a kind, in the order of the table.
-
-    Args:
-        kind: the kind.
-        **attributes: required values of attributes of `EventOperator`.
-    """
+    """Return the names of the operators of a kind with certain attributes, in the order of the table."""
     return tuple(
         [
             operator.name

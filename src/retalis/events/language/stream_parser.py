@@ -487,12 +487,7 @@ def timeout_term(pattern: AbsencePattern) -> Term:
 
 
 def window_term(window: WindowSpec, to_seconds: Callable[[int], float] = timestamps.to_seconds) -> Term:
-    """Return the term of a window.
-
-    Args:
-        window: the window.
-        to_seconds: converts nanoseconds to the numbers in the term.
-    """
+    """Return the term of a window."""
     if window.kind == "steps":
         row_pattern = row_pattern_term(window)
         return _TIMED_OUT(row_pattern, to_seconds(window.span)) if window.span else row_pattern

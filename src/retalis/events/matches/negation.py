@@ -536,9 +536,6 @@ class RuledOutSweep:
 
         Negated matches that arrive during the pass are left to the next one, because the pass may already have
         visited first operands that they rule out.
-
-        Args:
-            last_order: order of the last match that has been stored.
         """
         self._last_order = last_order
         self._ruled_out.clear()

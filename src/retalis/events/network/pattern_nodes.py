@@ -89,12 +89,7 @@ class MatchKeys:
         self._event_bound_vars: Dict[int, FrozenSet[Var]] = {}
 
     def identity_function(self, value_vars: Sequence[Var], pattern: Pattern) -> IdentityFunction:
-        """Return the identity function of the matches of a pattern.
-
-        Args:
-            value_vars: variables of the values of the matches, in order.
-            pattern: the pattern.
-        """
+        """Return the identity function of the matches of a pattern."""
         return identity_by_values(
             [
                 position

@@ -58,14 +58,6 @@ def read_file_goals(
     """Yield the goals of a goal file; the goals of included files take the place of the ``include`` goal.
 
     ``:- Goal`` means Goal. A syntax error is yielded in place of the goal.
-
-    Args:
-        text: text of the file.
-        source: name of the file in errors.
-        folder: folder of the file.
-        operators: operators for reading.
-        files: files of the program.
-        run_with_permissions: opens included files.
     """
     with nullcontext() if folder is None else files.loading_file(folder / Path(source).name):
         for entry in read_goals(text, operators, source):

@@ -113,11 +113,7 @@ class StreamOutput(NamedTuple):
 
 
 def _element_type(channel: int) -> FieldType[StreamElement]:
-    """Return the type of elements in the state of an operator.
-
-    Args:
-        channel: channel of the elements, see `StreamOperator.process`.
-    """
+    """Return the type of elements in the state of an operator."""
     reference_type = reference("element")
 
     def checker(context: ReadContext) -> ValueCheck[StreamElement]:

@@ -224,11 +224,7 @@ class OutputStream:
 
 
 def flush_standard_streams(budget: Budget) -> None:
-    """Write the text of the user's streams to the standard streams, which Python buffers except on terminals.
-
-    Args:
-        budget: ends the goal if an interrupt ends the output.
-    """
+    """Write the text of the user's streams to the standard streams, which Python buffers except on terminals."""
     with budget.ending_entry():
         sys.stdout.flush()
         sys.stderr.flush()

@@ -367,9 +367,6 @@ class CompiledGoal:
     def first_solution(self, values: Values) -> Optional[Values]:
         """Run the goal for its first solution.
 
-        Args:
-            values: values of the inputs, by position.
-
         Returns:
             The resolved outputs, or None if there is no solution. No bindings remain.
 

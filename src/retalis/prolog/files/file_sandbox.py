@@ -123,10 +123,6 @@ class FileSandbox:
     def resolve_readable(self, path: str, name: str) -> str:
         """Return the resolved path of a file that may be read.
 
-        Args:
-            path: path of the file.
-            name: name in the program, for errors.
-
         Raises:
             PrologError: a permission error if the path leads out of the permitted folders.
         """

@@ -520,13 +520,6 @@ def create_term_parser(
 ) -> Parser:
     """Return a parser for a text that is one term, with or without a full stop.
 
-    Args:
-        source: the text.
-        operators: the operators.
-        flags: see `ReadFlags`.
-        positions: record the positions of subterms.
-        parser_class: class of the parser.
-
     Raises:
         SyntaxFault: if the text is empty, a token is invalid, or something follows the full stop.
     """
@@ -550,14 +543,6 @@ def create_parser(
     parser_class: Type[Parser],
 ) -> Parser:
     """Return a parser for the tokens of one clause.
-
-    Args:
-        clause: the tokens.
-        source: the text.
-        operators: the operators.
-        flags: see `ReadFlags`.
-        positions: record the positions of subterms.
-        parser_class: class of the parser.
 
     Raises:
         SyntaxFault: if a token is invalid.

@@ -376,12 +376,7 @@ def copy(term: Term, fresh: Optional[Dict[Var, Term]] = None) -> Term: ...
 
 
 def copy(term: Term, fresh: Optional[Dict[Var, Term]] = None) -> Term:
-    """Return ``term`` with new variables for its unbound ones.
-
-    Args:
-        term: the term to copy.
-        fresh: maps old variables to new ones; extended by the call.
-    """
+    """Return ``term`` with new variables for its unbound ones; ``fresh`` maps old ones to new ones."""
     term_class = term.__class__
     while term_class is Var:
         ref: Any = term.ref  # type: ignore[union-attr]
