@@ -10,6 +10,7 @@ import logging
 import threading
 import time
 from itertools import groupby
+from operator import itemgetter
 from typing import Any, Callable, Dict, List, NamedTuple, Tuple
 
 from rclpy.callback_groups import CallbackGroup
@@ -245,18 +246,10 @@ class MessageIntake:
         received: List[Tuple[int, int, ReceivedMessage]] = []
         for position, subscription in enumerate(ready):
             received += [(message.received, position, message) for message in take_messages(subscription)]
-        received.sort(key=_by_reception)
-        for position, entries in groupby(received, _by_position):
+        received.sort(key=itemgetter(0))
+        for position, entries in groupby(received, itemgetter(1)):
             consumers[ready[position]]([entry[2] for entry in entries])
         return len(received)
-
-
-def _by_reception(entry: Tuple[int, int, ReceivedMessage]) -> int:
-    return entry[0]
-
-
-def _by_position(entry: Tuple[int, int, ReceivedMessage]) -> int:
-    return entry[1]
 
 
 def take_messages(subscription: Subscription) -> List[ReceivedMessage]:

@@ -6,6 +6,7 @@ time: lines with ``-`` are expected and missing, lines with ``+`` are unexpected
 
 from bisect import bisect_left, bisect_right
 from copy import copy
+from operator import attrgetter
 from typing import Callable, Dict, Iterable, List, Mapping, NamedTuple, Optional, Sequence, Set, Tuple
 
 from ..foundation.displayed_text import printable, shorten
@@ -435,10 +436,10 @@ def _assign(matchers: Sequence[ItemMatcher], items: Sequence[RunItem]) -> List[I
     variables must not take the only item of a more specific one.
     """
     by_functor: Dict[Optional[Functor], List[RunItem]] = {}
-    for item in sorted(items, key=_time_of):
+    for item in sorted(items, key=attrgetter("time")):
         for key in (functor_of(item.term), None):
             by_functor.setdefault(key, []).append(item)
-    times = {key: list(map(_time_of, group)) for key, group in by_functor.items()}
+    times = {key: list(map(attrgetter("time"), group)) for key, group in by_functor.items()}
     candidates = []
     for matcher in matchers:
         group = by_functor.get(matcher.functor, [])
@@ -451,10 +452,6 @@ def _assign(matchers: Sequence[ItemMatcher], items: Sequence[RunItem]) -> List[I
         for number, matcher in enumerate(matchers)
         if not _find_augmenting_path(number, candidates, owner_of, item_of)
     ]
-
-
-def _time_of(item: RunItem) -> int:
-    return item.time
 
 
 def _find_augmenting_path(

@@ -12,6 +12,7 @@ pushdown). If a message is split into many events and few are needed, it is filt
 
 from collections import Counter
 from itertools import chain
+from operator import attrgetter
 from typing import Any, Callable, Dict, Hashable, List, Optional, Tuple, Union
 
 from ...foundation.codegen import Block, Statement, shared_function, source_of
@@ -125,15 +126,11 @@ class SwitchNode:
 
     def _build_plan_of_groups(self, *groups: List[Listener]) -> "Plan":
         """Return the plan for the listeners of some groups and those with a variable at the path."""
-        listeners = sorted(chain(self.variable_listeners, *groups), key=_listener_order)
+        listeners = sorted(chain(self.variable_listeners, *groups), key=attrgetter("order"))
         return _build_plan(listeners, self.tested_paths, self.remaining_tests - 1)
 
 
 Plan = Union[SwitchNode, Steps]
-
-
-def _listener_order(listener: Listener) -> Tuple[int, ...]:
-    return listener.order
 
 
 def _build_plan(listeners: List[Listener], tested_paths: Tuple[Path, ...], remaining_tests: int) -> "Plan":

@@ -14,6 +14,7 @@ every partner.
 """
 
 import heapq
+from operator import attrgetter
 from typing import TYPE_CHECKING, Callable, Dict, Hashable, Iterator, List, Optional, Sequence, Tuple
 
 from ...prolog.terms.term_traversal import SELF_KEYED, freeze
@@ -186,7 +187,7 @@ class MatchBuffer:
     def put_back(self, stored_matches: Sequence[PartialMatch]) -> None:
         """Store matches whose ``order`` is set in an empty buffer, as they were stored in another one."""
         groups: Dict[Hashable, List[PartialMatch]] = {}
-        for match in sorted(stored_matches, key=_order):
+        for match in sorted(stored_matches, key=attrgetter("order")):
             match.buffer = self
             try:
                 match.key = self.compute_key(match.values_with_key)
@@ -249,7 +250,9 @@ class MatchBuffer:
 
     def stored_matches(self) -> List[PartialMatch]:
         """Return all stored matches, oldest first."""
-        return sorted((match for key in self.newest for match in self.matches_of_key(key)), key=_order)
+        return sorted(
+            (match for key in self.newest for match in self.matches_of_key(key)), key=attrgetter("order")
+        )
 
     def partners(self, key: Hashable, start: int, end: int, newest: bool) -> Iterator[PartialMatch]:
         """Yield the stored matches that may join a match: newest or oldest first.
@@ -272,7 +275,7 @@ class MatchBuffer:
         if None not in self.newest:
             return self._within(key, limits, newest)
         merged_sources = self._within(key, limits, newest), self._within(None, limits, newest)
-        return iter(heapq.merge(*merged_sources, key=_order, reverse=newest))
+        return iter(heapq.merge(*merged_sources, key=attrgetter("order"), reverse=newest))
 
     def partner_list(self, key: Hashable, start: int, end: int) -> Sequence[PartialMatch]:
         """Return the stored matches that may join a match, oldest first; see `partners`.
@@ -363,10 +366,6 @@ def _expanded(match: EventMatch) -> PartialMatch:
     expanded = PartialMatch(match.values, match.start, match.end, None, match.term, None)
     expanded.order = match.order
     return expanded
-
-
-def _order(match: PartialMatch) -> int:
-    return match.order
 
 
 def has_equal_key(key: Hashable, partner: PartialMatch) -> bool:

@@ -15,6 +15,7 @@ dropped earlier if its neighbours in time cancel every pending element that it w
 
 import heapq
 from bisect import bisect_left, insort
+from operator import attrgetter
 from typing import Any, Callable, Dict, Hashable, Iterator, List, NamedTuple, Optional, Sequence, Tuple
 
 from ...prolog.terms.timestamps import BEFORE_ALL_INSTANTS, SECOND
@@ -195,7 +196,7 @@ class AbsenceTimeout(DeadlineOperator):
     def pending_elements(self) -> List[StreamElement]:
         """The pending elements in order of arrival."""
         return sorted(
-            [element for _, _, element in self._deadlines if not element.is_removed], key=_arrival_order
+            [element for _, _, element in self._deadlines if not element.is_removed], key=attrgetter("order")
         )
 
     @pending_elements.setter
@@ -213,7 +214,7 @@ class AbsenceTimeout(DeadlineOperator):
         """The forbidden elements in order of arrival."""
         return sorted(
             [element for _, _, element in self._forbidden_by_start if not element.is_removed],
-            key=_arrival_order,
+            key=attrgetter("order"),
         )
 
     @forbidden_elements.setter
@@ -427,7 +428,7 @@ class NotPrecededFilter(StreamOperator):
     @property
     def forbidden_elements(self) -> List[StreamElement]:
         """The forbidden elements in order of arrival."""
-        return sorted([element for _, _, element in self._by_end], key=_arrival_order)
+        return sorted([element for _, _, element in self._by_end], key=attrgetter("order"))
 
     @forbidden_elements.setter
     def forbidden_elements(self, elements: Sequence[StreamElement]) -> None:
@@ -467,7 +468,3 @@ class NotPrecededFilter(StreamOperator):
                     return True
                 position -= 1
         return False
-
-
-def _arrival_order(element: StreamElement) -> int:
-    return element.order

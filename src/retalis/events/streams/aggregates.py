@@ -16,6 +16,7 @@ adding the arrays.
 
 from fractions import Fraction
 from math import isfinite
+from operator import itemgetter
 from typing import (
     TYPE_CHECKING,
     Any,
@@ -609,13 +610,9 @@ class _DistinctAccumulator(Accumulator):
         # In the order of first occurrence, as a list of distinct values is expected to be.
         first_elements = sorted(
             [elements_with_value.first() for elements_with_value in self.by_value.values()],
-            key=_arrival_order,
+            key=itemgetter(0),
         )
         return make_list([element.values[self.index] for _, element in first_elements])
-
-
-def _arrival_order(entry: Tuple[int, StreamElement]) -> int:
-    return entry[0]
 
 
 class _RateAccumulator(Accumulator):

@@ -82,7 +82,7 @@ class RowPatternTimeouts(RowPatternWindow):
         # The deadline of a match that has failed leads to the other matches of its key. A restored operator has no
         # such deadlines, so their order must not decide that of the outputs.
         due_states.sort(key=attrgetter("start_time", "start_order"))
-        return sorted(self._timeout_outputs(due_states), key=_get_end)
+        return sorted(self._timeout_outputs(due_states), key=attrgetter("end"))
 
     def restore(self, saved: State) -> None:
         """See `StateOwner.restore`."""
@@ -139,7 +139,3 @@ class RowPatternTimeouts(RowPatternWindow):
             }
         )
         heapq.heapify(self._deadlines)
-
-
-def _get_end(output: StreamOutput) -> int:
-    return output.end

@@ -12,6 +12,7 @@ key are a function of its open elements: they are those that the elements in ord
 import heapq
 from bisect import bisect_left, insort
 from collections import OrderedDict
+from operator import itemgetter
 from typing import Hashable, List, Optional, Sequence, Tuple
 
 from ...foundation.errors import RuleError
@@ -190,7 +191,7 @@ class SessionWindow(Window):
     def _close(self, session: OpenSession) -> List[StreamOutput]:
         outputs: List[StreamOutput] = []
         window = KeyedWindow(self.make_accumulators())
-        for _, _, element in sorted(session.entries, key=_get_order):
+        for _, _, element in sorted(session.entries, key=itemgetter(1)):
             try:
                 for measure in window.checked_measures:
                     if measure.check(element) and not measure.array_count and window.element_count:
@@ -258,7 +259,7 @@ class SessionWindow(Window):
                 [
                     element
                     for _, _, element in sorted(
-                        (entry for session in sessions for entry in session.entries), key=_get_order
+                        (entry for session in sessions for entry in session.entries), key=itemgetter(1)
                     )
                 ],
             )
@@ -282,7 +283,3 @@ class SessionWindow(Window):
             for session in sessions:
                 self._schedule(key, session)
         self._update_deadline()
-
-
-def _get_order(entry: _SessionEntry) -> int:
-    return entry[1]

@@ -16,6 +16,7 @@ skip it. `_SingleWindow._compact` compacts them when more than half of their ent
 
 import heapq
 from collections import OrderedDict, deque
+from operator import itemgetter
 from typing import Callable, Deque, Dict, Hashable, List, NamedTuple, Optional, Sequence, Tuple
 
 from ...foundation.errors import RuleError
@@ -758,11 +759,6 @@ class AlignedTumblingWindow(_SingleWindow):
         ]
 
 
-def _get_order(entry: Tuple[int, int, StreamElement]) -> int:
-    """Return the order of arrival in an entry of a heap."""
-    return entry[1]
-
-
 class SteppedWindow(Window):
     """Part of the windows that end at the multiples of a step: elements that no window has contained yet.
 
@@ -893,7 +889,7 @@ class HoppingWindow(SteppedWindow, _SingleWindow):
         ]
         for element in [
             *present,
-            *(element for _, _, element in sorted(self._future_elements, key=_get_order)),
+            *(element for _, _, element in sorted(self._future_elements, key=itemgetter(1))),
         ]:
             first_end = (element.end // self.slide + 1) * self.slide
             window_end = first_end if self.next_deadline is None else max(first_end, self.next_deadline)
