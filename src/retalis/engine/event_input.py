@@ -28,12 +28,13 @@ from ..foundation.interrupts import PENDING, is_interrupted
 from ..foundation.ros_name_checks import ros1_type_name, strip_slashes, topic_fault, type_fault
 from ..messages.message_slots import SlotNames
 from ..messages.transform_messages import TransformMessage
-from ..prolog.machine.errors import Halt, domain_error, instantiation_error, permission_error, resource_error
+from ..prolog.builtins.argument_checks import bound
+from ..prolog.machine.errors import Halt, domain_error, permission_error, resource_error
 from ..prolog.machine.machine import Machine
 from ..prolog.syntax.operators import Operators
 from ..prolog.system.prolog_system import PrologSystem
 from ..prolog.terms.timestamps import format_distance
-from ..prolog.terms.types import Atom, String, Term, Var, deref
+from ..prolog.terms.types import Atom, String, Term, deref
 from ..serialization.field_types import COUNT
 from ..serialization.state_fields import StateFields, StateOwner, field, part
 from .redelivered_messages import IdentifiedMessage, ProcessedMessages
@@ -453,9 +454,7 @@ class InputTopics:
 
 def get_text(term: Term) -> str:
     """Return the text of an argument."""
-    value: Any = deref(term)
-    if value.__class__ is Var:
-        raise instantiation_error()
+    value: Any = bound(term)
     if isinstance(value, String):
         return value.text
     if not isinstance(value, Atom):

@@ -8,11 +8,12 @@ from operator import attrgetter
 from typing import Any, Callable, Iterator, Optional, Sequence, Tuple
 
 from ...foundation.errors import UsageError
-from ...prolog.machine.errors import instantiation_error, type_error
+from ...prolog.builtins.argument_checks import bound
+from ...prolog.machine.errors import type_error
 from ...prolog.machine.machine import Machine
 from ...prolog.system.prolog_system import PrologSystem
 from ...prolog.terms.term_traversal import variables
-from ...prolog.terms.types import Frame, Functor, Term, Var, deref, functor
+from ...prolog.terms.types import Frame, Functor, Term, deref, functor
 from ..clock.clock import Clock
 from ..dispatch.dispatcher import Dispatcher
 from ..language.stream_parser import subscription_event
@@ -201,9 +202,7 @@ class KnowledgeBase:
         return next_frame
 
     def _memorize_by_flag(self, machine: Machine, arguments: Sequence[Term], frame: Frame) -> Frame:
-        active = deref(arguments[5])
-        if active.__class__ is Var:
-            raise instantiation_error()
+        active = bound(arguments[5])
         if active not in (0, 1):
             raise type_error("boolean", active)
         return self._create_memory(arguments[:5], active == 1, frame)

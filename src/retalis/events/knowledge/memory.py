@@ -36,6 +36,7 @@ from typing import (
 )
 
 from ...foundation.limit_checks import check_limits
+from ...prolog.builtins.argument_checks import bound
 from ...prolog.machine.errors import PrologError, instantiation_error, type_error
 from ...prolog.machine.resource_limits import record_caught_error
 from ...prolog.system.prolog_system import PrologSystem
@@ -196,9 +197,7 @@ def _check_condition_goals(conditions: Term) -> List[Term]:
         raise type_error("list", conditions)
     goals: List[Term] = []
     for item in items:
-        goal = deref(item)
-        if goal.__class__ is Var:
-            raise instantiation_error()
+        goal = bound(item)
         if goal.__class__ not in (tuple, Atom) or goal is EMPTY_BLOCK:
             raise type_error("callable", goal)
         if goal is not TRUE:

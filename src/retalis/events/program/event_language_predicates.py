@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Dict, Hashable, Iterator, Sequence, Tuple
 
 from ...foundation.errors import UsageError
-from ...prolog.builtins.argument_checks import callable_of
+from ...prolog.builtins.argument_checks import bound, callable_of
 from ...prolog.files.source_files import SourceFiles
 from ...prolog.machine.errors import domain_error, existence_error, instantiation_error
 from ...prolog.machine.machine import Machine
@@ -218,9 +218,7 @@ class _FlagPredicates:
         logic.define("get_flag", 2, self.get_user_flag)
 
     def set_etalis_flag(self, machine: Machine, name: Term, value: Term) -> bool:
-        name, value = callable_of(name), deref(value)
-        if value.__class__ is Var:
-            raise instantiation_error()
+        name, value = callable_of(name), bound(value)
         if name.__class__ is not Atom:
             raise domain_error("etalis_flag", name)
         self.rules.logic.require_flags(name)

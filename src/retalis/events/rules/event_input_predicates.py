@@ -13,7 +13,7 @@ from ...foundation.bounded_caches import Cache
 from ...foundation.errors import Errors, ProgramErrors, SyntaxFault, UsageError
 from ...prolog.builtins.argument_checks import callable_of, integer
 from ...prolog.builtins.time_predicates import instant_of
-from ...prolog.machine.errors import PrologError, domain_error, instantiation_error, type_error
+from ...prolog.machine.errors import PrologError, domain_error, instantiation_or_type_error, type_error
 from ...prolog.machine.machine import Machine
 from ...prolog.syntax.event_text import EventReader
 from ...prolog.syntax.operators import Operators
@@ -39,10 +39,8 @@ def file_name_of(term: Term) -> str:
         PrologError: if the term is not an atom or string.
     """
     term = deref(term)
-    if term.__class__ is Var:
-        raise instantiation_error()
     if term.__class__ not in (Atom, String):
-        raise type_error("atom", term)
+        raise instantiation_or_type_error("atom", term)
     return str(term.name if term.__class__ is Atom else term.text)
 
 

@@ -22,14 +22,14 @@ from typing import (
 
 from ...foundation.displayed_text import format_count
 from ...foundation.errors import UsageError
-from ...prolog.builtins.argument_checks import callable_of
-from ...prolog.machine.errors import domain_error, instantiation_error, resource_error
+from ...prolog.builtins.argument_checks import bound, callable_of
+from ...prolog.machine.errors import domain_error, resource_error
 from ...prolog.machine.machine import Machine
 from ...prolog.system.prolog_system import PrologSystem
 from ...prolog.terms.list_terms import make_list
 from ...prolog.terms.term_traversal import copy, freeze, term_key
 from ...prolog.terms.timestamps import SECOND, lazy_term
-from ...prolog.terms.types import Term, Var, atom, deref, functor
+from ...prolog.terms.types import Term, atom, deref, functor
 from ...prolog.terms.unification import may_unify
 from ...serialization.field_types import CALLABLE_TERM, COUNT, INSTANT, TERM, optional
 from ...serialization.state_fields import StateFields, StateOwner, field, rows_of
@@ -448,9 +448,7 @@ class _TimerPredicates:
         logic.define("timers", 1, self.list_timers)
 
     def set(self, machine: Machine, event: Term, schedule_term: Term) -> bool:
-        event, schedule_term = callable_of(event), deref(schedule_term)
-        if schedule_term.__class__ is Var:
-            raise instantiation_error()
+        event, schedule_term = callable_of(event), bound(schedule_term)
         self.require_declared(event)
         try:
             self.timers.set(event, schedule_term)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, List, Optional
 from ...foundation.errors import MessageError
 from ...foundation.limit_checks import STEPS_PER_ROUND, check_limits, with_limit_checks
 from ..machine.arithmetic import Number
-from ..machine.errors import domain_error, instantiation_error, type_error
+from ..machine.errors import domain_error, instantiation_error, instantiation_or_type_error, type_error
 from ..terms.array_terms import ELEMENTS_PER_INFERENCE, lazy_array, view
 from ..terms.byte_texts import text_bytes
 from ..terms.list_terms import list_parts
@@ -25,15 +25,21 @@ def is_iso(machine: ProgramMachine) -> bool:
     return machine.logic.flags["iso"] is TRUE
 
 
+def bound(term: Term) -> Term:
+    """Return an argument that must be bound, dereferenced."""
+    term = deref(term)
+    if term.__class__ is Var:
+        raise instantiation_error()
+    return term
+
+
 def integer(term: Term) -> int:
     """Return the value of an integer argument."""
     term = deref(term)
     # Classes are compared by identity: that is faster than `isinstance`, and terms have no subclasses.
     if term.__class__ is int:
         return term
-    if term.__class__ is Var:
-        raise instantiation_error()
-    raise type_error("integer", term)
+    raise instantiation_or_type_error("integer", term)
 
 
 def number(term: Term) -> Number:
@@ -41,9 +47,7 @@ def number(term: Term) -> Number:
     term = deref(term)
     if term.__class__ is int or term.__class__ is float:
         return term
-    if term.__class__ is Var:
-        raise instantiation_error()
-    raise type_error("number", term)
+    raise instantiation_or_type_error("number", term)
 
 
 def natural(term: Term) -> int:
@@ -65,9 +69,7 @@ def atom_of(term: Term) -> Atom:
     term = deref(term)
     if term.__class__ is Atom:
         return term
-    if term.__class__ is Var:
-        raise instantiation_error()
-    raise type_error("atom", term)
+    raise instantiation_or_type_error("atom", term)
 
 
 def is_true(term: Term) -> bool:
@@ -83,9 +85,7 @@ def callable_of(term: Term) -> Term:
     term = deref(term)
     if term.__class__ is tuple or term.__class__ is Atom:
         return term
-    if term.__class__ is Var:
-        raise instantiation_error()
-    raise type_error("callable", term)
+    raise instantiation_or_type_error("callable", term)
 
 
 def items(term: Term) -> List[Term]:
@@ -124,9 +124,7 @@ def check_tail(term: Term) -> None:
 
 def indicator_of(term: Term) -> Functor:
     """Return the functor of a predicate indicator ``Name/Arity``, without its module."""
-    term = deref(term)
-    if term.__class__ is Var:
-        raise instantiation_error()
+    term = bound(term)
     # The module is ignored here: the module system has renamed local predicates before.
     if term.__class__ is tuple and term[0].name == ":" and len(term) == 3:
         return indicator_of(term[2])
@@ -212,9 +210,9 @@ def _item(item: Term, position: int) -> Number:
     value = deref(item)
     if value.__class__ is int or value.__class__ is float:
         return value
-    if value.__class__ is Var:
-        raise instantiation_error()
-    raise type_error("number", value, f"item {position} of a list of numbers, counted from 0")
+    raise instantiation_or_type_error(
+        "number", value, f"item {position} of a list of numbers, counted from 0"
+    )
 
 
 def _bytes_of(value: Atom) -> bytes:

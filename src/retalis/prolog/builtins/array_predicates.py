@@ -18,12 +18,12 @@ from typing import TYPE_CHECKING, Any, Callable, Dict, List, NamedTuple, Optiona
 
 from ...foundation.limit_checks import check_limits
 from ..machine.arithmetic import Number, evaluate
-from ..machine.errors import domain_error, evaluation_error, instantiation_error
+from ..machine.errors import domain_error, evaluation_error
 from ..terms.array_terms import array_term, element, lazy_array, sum_of_integers
 from ..terms.list_terms import make_list
-from ..terms.types import CONS, Atom, Functor, Term, Var, atom, deref, functor
+from ..terms.types import CONS, Atom, Functor, Term, atom, deref, functor
 from ..terms.unification import unify
-from .argument_checks import array_of, count_work, natural, number, option_values
+from .argument_checks import array_of, bound, count_work, natural, number, option_values
 from .builtin_registry import ProgramMachine, deterministic, function
 
 if TYPE_CHECKING:
@@ -337,9 +337,7 @@ def _match_condition(array: Term, condition: Term) -> "Array":
     import numpy as np  # noqa: PLC0415 - see `array_terms`
 
     values = _read_array(array)
-    condition = deref(condition)
-    if condition.__class__ is Var:
-        raise instantiation_error()
+    condition = bound(condition)
     if condition.__class__ is tuple:
         name = _COMPARISON_NAMES.get(condition[0])
         if name is not None:

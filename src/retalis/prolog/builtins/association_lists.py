@@ -16,7 +16,7 @@ from ..machine.errors import instantiation_error, no_matching_rule, type_error
 from ..terms.term_traversal import WALK_ROUNDS
 from ..terms.types import CONS, MINUS, NIL, CompoundTerm, Functor, Term, Var, atom, deref, functor
 from ..terms.unification import compare, unify
-from .argument_checks import items
+from .argument_checks import bound, items
 from .builtin_registry import ProgramMachine, deterministic
 from .list_predicates import limited_rounds
 
@@ -58,9 +58,7 @@ def _is_balance(term: Term) -> bool:
 def get_assoc(machine: ProgramMachine, key: Term, tree: Term, value: Term) -> bool:
     """Look up a key."""
     key = deref(key)
-    node: Any = deref(tree)
-    if node.__class__ is Var:
-        raise instantiation_error()
+    node: Any = bound(tree)
     if node is not _EMPTY and (node.__class__ is not tuple or node[0] is not _NODE):
         raise type_error("btree", node)
     for _ in limited_rounds():

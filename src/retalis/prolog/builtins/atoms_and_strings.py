@@ -11,6 +11,7 @@ from ..machine.errors import (
     domain_error,
     existence_error,
     instantiation_error,
+    instantiation_or_type_error,
     representation_error,
     type_error,
 )
@@ -19,7 +20,7 @@ from ..terms.list_terms import list_items, make_list
 from ..terms.term_traversal import is_ground
 from ..terms.types import NIL, Atom, String, Term, Var, atom, deref, functor
 from ..terms.unification import unify
-from .argument_checks import atom_of, integer_or_var, is_iso, items, partial_items
+from .argument_checks import atom_of, bound, integer_or_var, is_iso, items, partial_items
 from .builtin_registry import Outcome, ProgramMachine, Solutions, deterministic, nondeterministic
 from .text_arguments import (
     MAX_CODE,
@@ -144,10 +145,8 @@ def char_code(machine: ProgramMachine, char: Term, code: Term) -> bool:
         return unify(code, ord(char.name), machine.trail)
     if char.__class__ is not Var:
         raise type_error("character", char)
-    if code.__class__ is Var:
-        raise instantiation_error()
     if code.__class__ is not int:
-        raise type_error("integer", code)
+        raise instantiation_or_type_error("integer", code)
     if not 0 <= code <= MAX_CODE:
         raise _code_error(machine, code)
     return unify(char, atom(chr(code)), machine.trail)
@@ -158,10 +157,8 @@ def atom_number(machine: ProgramMachine, text: Term, number: Term) -> bool:
     """Convert between an atom and the number that it denotes."""
     text, number = deref(text), deref(number)
     if text.__class__ is Var:
-        if number.__class__ is Var:
-            raise instantiation_error()
         if number.__class__ not in (int, float):
-            raise type_error("number", number)
+            raise instantiation_or_type_error("number", number)
         return unify(text, atom(number_text(number)), machine.trail)
     # Which of the two arguments is reported, and whether the predicate fails instead, follows SWI-Prolog.
     if text.__class__ not in (Atom, String):
@@ -654,9 +651,7 @@ def _strip(text: str, pad: str) -> str:
 @deterministic("normalize_space/2")
 def normalize_space(machine: ProgramMachine, sink: Term, text: Term) -> bool:
     """Write a text to a sink, with one space for each sequence of white space and none at the ends."""
-    sink = deref(sink)
-    if sink.__class__ is Var:
-        raise instantiation_error()
+    sink = bound(sink)
     if not is_sink(sink):
         raise existence_error("stream", sink) if sink.__class__ is Atom else type_error("output", sink)
     return fill_sink(machine, sink, join_texts(_split_words(atomic_text(text)), " "))

@@ -7,10 +7,10 @@ through `SourceFiles`, which restricts goals to the folders that the settings al
 from posixpath import basename, dirname, isabs, join, normpath, splitext
 from typing import TYPE_CHECKING, Dict, List, Optional
 
-from ..machine.errors import existence_error, instantiation_error, permission_error
+from ..machine.errors import existence_error, permission_error
 from ..terms.types import SLASH, Atom, Term, Var, atom, deref
 from ..terms.unification import unify
-from .argument_checks import atom_of, items, option_values
+from .argument_checks import atom_of, bound, items, option_values
 from .builtin_registry import ProgramMachine, deterministic
 from .text_arguments import text_of, whole_text
 
@@ -183,9 +183,7 @@ def _require_files(machine: ProgramMachine) -> "SourceFiles":
 
 def _absolute_path(machine: ProgramMachine, name: Term, folder: Optional[Term]) -> Optional[str]:
     """Return a normalised absolute path; None for a term such as ``library(lists)``, which is not a file name."""
-    name = deref(name)
-    if name.__class__ is Var:
-        raise instantiation_error()
+    name = bound(name)
     if name.__class__ is tuple and name[0] is SLASH:
         text = _join_segments(name)
     elif name.__class__ is tuple and name[0].arity == 1:

@@ -12,6 +12,7 @@ from ..machine.errors import (
     domain_error,
     existence_error,
     instantiation_error,
+    instantiation_or_type_error,
     permission_error,
     representation_error,
     type_error,
@@ -38,7 +39,7 @@ from ..terms.types import (
     functor,
 )
 from ..terms.unification import unify
-from .argument_checks import atom_of, integer, is_iso, items
+from .argument_checks import atom_of, bound, integer, is_iso, items
 from .builtin_registry import ProgramMachine, Solutions, control, deterministic, nondeterministic
 from .clause_predicates import declared_items
 from .grammar_and_ssu_rules import translate_rule
@@ -104,9 +105,7 @@ def restored_flags(stored_flags: Dict[str, Term]) -> Dict[str, Term]:
 @deterministic("set_prolog_flag/2")
 def set_prolog_flag(machine: ProgramMachine, flag: Term, value: Term) -> bool:
     """Set a Prolog flag."""
-    name, value = atom_of(flag), deref(value)
-    if value.__class__ is Var:
-        raise instantiation_error()
+    name, value = atom_of(flag), bound(value)
     # Goals of services and of the dashboard may not change flags, which affect the whole program.
     machine.logic.require_flags(name)
     flags = machine.logic.flags
@@ -201,10 +200,8 @@ def _checked_operator_name(
     term: Term, priority: int, op_type: str, operators: Operators, is_in_list: bool
 ) -> str:
     """Return the name of a new operator, or raise the error if no such operator may be defined."""
-    if term.__class__ is Var:
-        raise instantiation_error()
     if term.__class__ is not Atom:
-        raise type_error("atom" if is_in_list else "list", term)
+        raise instantiation_or_type_error("atom" if is_in_list else "list", term)
     name: str = term.name
     # ISO 13211-1, 8.14.3.3 and its second corrigendum, for the comma, the bar, `[]` and `{}`.
     if name == ",":
@@ -492,9 +489,7 @@ def initialization(machine: ProgramMachine, args: Values, continuation: Frame) -
 @control("initialization/2")
 def initialization_at(machine: ProgramMachine, args: Values, continuation: Frame) -> Optional[Frame]:
     """Call a goal, unless its time is ``main``: the process does not belong to the program."""
-    time = deref(args[1])
-    if time.__class__ is Var:
-        raise instantiation_error()
+    time = bound(args[1])
     if not isinstance(time, Atom) or time.name not in _INITIALIZATION_TIMES:
         raise domain_error("initialization_type", time)
     return continuation if time is _MAIN else machine.logic.control.call(args[0], continuation)
@@ -503,9 +498,7 @@ def initialization_at(machine: ProgramMachine, args: Values, continuation: Frame
 @deterministic("dcg_translate_rule/2")
 def dcg_translate_rule(machine: ProgramMachine, rule: Term, clause: Term) -> bool:
     """Translate a grammar rule."""
-    rule = deref(rule)
-    if rule.__class__ is Var:
-        raise instantiation_error()
+    rule = bound(rule)
     if rule.__class__ is not tuple or rule[0] is not _GRAMMAR_RULE:
         return False
     return machine.unify(clause, translate_rule(rule))

@@ -12,7 +12,7 @@ from typing import Any, List, NamedTuple, Set, Tuple
 
 from ..compiler.clause_nodes import ARROW, BAR, EQUAL, NOT, SEMICOLON, SOFT_ARROW
 from ..database.goal_terms import add_arguments
-from ..machine.errors import instantiation_error, no_matching_rule, type_error
+from ..machine.errors import instantiation_error, instantiation_or_type_error, no_matching_rule, type_error
 from ..terms.list_terms import conjunction, list_items, make_list
 from ..terms.term_traversal import resolve
 from ..terms.types import (
@@ -53,10 +53,8 @@ def translate_rule(rule: CompoundTerm) -> Term:
         middle = Var()
         translated = (COMMA, translate_body(body, first, middle), _terminals_goal(pushback, last, middle))
         return (_NECK, add_arguments(head[1], (first, last)), translated)
-    if head.__class__ is Var:
-        raise instantiation_error()
     if head.__class__ not in (tuple, Atom):
-        raise type_error("callable", head)
+        raise instantiation_or_type_error("callable", head)
     return (_NECK, add_arguments(head, (first, last)), translate_body(body, first, last))
 
 

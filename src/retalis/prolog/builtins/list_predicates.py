@@ -51,7 +51,7 @@ from ..database.goal_terms import add_arguments
 from ..machine.arithmetic import EVALUABLE, Number, add, evaluate
 from ..machine.errors import (
     domain_error,
-    instantiation_error,
+    instantiation_or_type_error,
     no_argument,
     no_matching_rule,
     resource_error,
@@ -80,7 +80,7 @@ from ..terms.types import (
     serial,
 )
 from ..terms.unification import compare, undo, unify
-from .argument_checks import atom_of, count_work, integer, is_iso, items, natural, partial_items
+from .argument_checks import atom_of, bound, count_work, integer, is_iso, items, natural, partial_items
 from .builtin_registry import Outcome, ProgramMachine, Solutions, control, deterministic, nondeterministic
 
 if TYPE_CHECKING:
@@ -352,11 +352,7 @@ def sort_by_key_argument(
 ) -> bool:
     """Sort by an argument, or by the whole term for 0, in one of the orders ``@<``, ``@=<``, ``@>``, ``@>=``."""
     position = _parse_key_position(key)
-    order = deref(order)
-    if order.__class__ is Var:
-        raise instantiation_error()
-    if order.__class__ is not Atom:
-        raise type_error("atom", order)
+    order = atom_of(order)
     direction = order.name.lstrip("@")
     if direction not in ("<", "=<", ">", ">="):
         raise domain_error("order", order)
@@ -391,10 +387,8 @@ def _key_argument(item: Term, position: Optional[int]) -> Term:
     if position == 0:
         return item
     item = deref(item)
-    if item.__class__ is Var:
-        raise instantiation_error()
     if item.__class__ is not tuple or position is None:
-        raise type_error("compound", item)
+        raise instantiation_or_type_error("compound", item)
     if position >= len(item):
         raise no_argument(position, item)
     value: Term = item[position]
@@ -511,10 +505,8 @@ _COMPARED = Code("predsort", _merge_next)
 def _checked_pair(term: Term) -> CompoundTerm:
     """Return a pair ``Key-Value``; raise an instantiation or type error for any other term."""
     pair = deref(term)
-    if pair.__class__ is Var:
-        raise instantiation_error()
     if pair.__class__ is not tuple or pair[0] is not MINUS:
-        raise type_error("pair", pair)
+        raise instantiation_or_type_error("pair", pair)
     return pair
 
 
@@ -986,9 +978,7 @@ def random_permutation(machine: ProgramMachine, list_term: Term, result: Term) -
 @deterministic("set_random/1")
 def set_random(machine: ProgramMachine, option: Term) -> bool:
     """Set the seed of the random number generator: ``seed(Number)`` or ``seed(random)``."""
-    option = deref(option)
-    if option.__class__ is Var:
-        raise instantiation_error()
+    option = bound(option)
     if option.__class__ is not tuple or option[0].name != "seed":
         raise domain_error("random_option", option)
     seed = deref(option[1])

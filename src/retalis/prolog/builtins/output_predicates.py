@@ -11,7 +11,7 @@ from ..machine.arithmetic import evaluate
 from ..machine.errors import (
     domain_error,
     existence_error,
-    instantiation_error,
+    instantiation_or_type_error,
     permission_error,
     representation_error,
     resource_error,
@@ -23,7 +23,7 @@ from ..terms.list_terms import list_items, make_list
 from ..terms.term_traversal import resolve
 from ..terms.types import CONS, NIL, Atom, CompoundTerm, Frame, String, Term, Values, Var, atom, deref
 from ..terms.unification import unify
-from .argument_checks import integer, is_iso, option_values
+from .argument_checks import bound, integer, is_iso, option_values
 from .builtin_registry import ProgramMachine, control, deterministic
 from .format_strings import Formatter, make_portray, print_to_text
 from .text_arguments import (
@@ -204,9 +204,7 @@ def character_of(machine: ProgramMachine, char: Term) -> str:
     Raises:
         PrologError: an instantiation or type error.
     """
-    value = deref(char)
-    if value.__class__ is Var:
-        raise instantiation_error()
+    value = bound(char)
     if value.__class__ is int and not is_iso(machine) and 0 <= value <= MAX_CODE:
         return chr(value)
     if value.__class__ is not Atom or len(value.name) != 1:
@@ -255,9 +253,7 @@ def write_options(machine: ProgramMachine, options: Term, quoted: bool = False) 
     for option in option_values(options):
         if option.__class__ is not tuple or len(option) != 2:
             raise domain_error("write_option", option) if iso else type_error("option", option)
-        name, value = option[0].name, deref(option[1])
-        if value.__class__ is Var:
-            raise instantiation_error()
+        name, value = option[0].name, bound(option[1])
         convert = _OPTION_CONVERTERS.get(name)
         if convert is not None:
             values[name] = convert(option, value, iso)
@@ -299,9 +295,7 @@ def _convert_variable_names(option: CompoundTerm) -> Dict[Var, str]:
         if pair.__class__ is not tuple or str(pair[0]) != "=/2":
             raise domain_error("write_option", option)
         var = deref(pair[2])
-        name = deref(pair[1])
-        if name.__class__ is Var:
-            raise instantiation_error()
+        name = bound(pair[1])
         if name.__class__ is not Atom:
             raise domain_error("write_option", option)
         if var.__class__ is Var:
@@ -427,9 +421,7 @@ def sformat_2(machine: ProgramMachine, text: Term, format_term: Term) -> bool:
 @control("with_output_to/2")
 def with_output_to(machine: ProgramMachine, args: Values, continuation: Frame) -> Optional[Frame]:
     """Run a goal once, and unify its output with an output specification such as ``atom(A)``."""
-    sink = deref(args[0])
-    if sink.__class__ is Var:
-        raise instantiation_error()
+    sink = bound(args[0])
     if not is_sink(sink):
         raise existence_error("stream", sink) if sink.__class__ is Atom else type_error("output", sink)
     logic = machine.logic
@@ -480,10 +472,8 @@ def put_code_to(machine: ProgramMachine, stream: Term, code: Term) -> bool:
 
 def _put_byte(stream: Union[OutputStream, OutputCapture, str, None], stream_term: Term, byte: Term) -> bool:
     byte = deref(byte)
-    if byte.__class__ is Var:
-        raise instantiation_error()
     if not isinstance(byte, int) or not 0 <= byte <= 255:
-        raise type_error("byte", byte)
+        raise instantiation_or_type_error("byte", byte)
     # Standard streams and captures are text streams.
     if not isinstance(stream, OutputStream) or stream.stream_type != "binary":
         raise permission_error("output", "text_stream", deref(stream_term))

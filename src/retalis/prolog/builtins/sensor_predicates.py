@@ -22,6 +22,7 @@ from ..machine.errors import (
     domain_error,
     existence_error,
     instantiation_error,
+    instantiation_or_type_error,
     type_error,
 )
 from ..terms.array_terms import ELEMENTS_PER_INFERENCE, array_term, lazy_array
@@ -41,7 +42,7 @@ from ..terms.types import (
     deref,
     functor,
 )
-from .argument_checks import array_of, integer, natural, number
+from .argument_checks import array_of, bound, integer, natural, number
 from .builtin_registry import function
 from .pose_predicates import parse_vector
 
@@ -72,35 +73,27 @@ def _require_message(term: Term, type_name: str) -> CompoundTerm:
     term = deref(term)
     if term.__class__ is tuple and len(term) == _ARITIES[type_name] + 1:
         return term
-    if term.__class__ is Var:
-        raise instantiation_error()
-    raise type_error(type_name, term)
+    raise instantiation_or_type_error(type_name, term)
 
 
 def _require_nested_message(term: Term, expected: Functor, slot: str) -> CompoundTerm:
     term = deref(term)
     if term.__class__ is tuple and term[0] is expected:
         return term
-    if term.__class__ is Var:
-        raise instantiation_error()
-    raise type_error(expected.name.replace("__0__", "/"), term, f"slot {slot}")
+    raise instantiation_or_type_error(expected.name.replace("__0__", "/"), term, f"slot {slot}")
 
 
 def _read_number(term: Term, slot: str) -> float:
     term = deref(term)
     if term.__class__ is int or term.__class__ is float:
         return float(term)
-    if term.__class__ is Var:
-        raise instantiation_error()
-    raise type_error("number", term, f"slot {slot}")
+    raise instantiation_or_type_error("number", term, f"slot {slot}")
 
 
 def _read_non_negative(term: Term, slot: str) -> int:
     term = deref(term)
-    if term.__class__ is Var:
-        raise instantiation_error()
     if term.__class__ is not int:
-        raise type_error("integer", term, f"slot {slot}")
+        raise instantiation_or_type_error("integer", term, f"slot {slot}")
     if term < 0:
         raise _size_error(slot, term, f"{term}, expected 0 or more")
     return term
@@ -113,16 +106,12 @@ def _read_is_bigendian(term: Term) -> bool:
         return term is TRUE
     if term.__class__ is int:
         return bool(term)
-    if term.__class__ is Var:
-        raise instantiation_error()
-    raise type_error("bool", term, "slot is_bigendian")
+    raise instantiation_or_type_error("bool", term, "slot is_bigendian")
 
 
 def _read_text(term: Term, slot: Optional[str] = None) -> str:
     """Return a text, of a slot or an argument, without the double quotes that texts of messages have."""
-    term = deref(term)
-    if term.__class__ is Var:
-        raise instantiation_error()
+    term = bound(term)
     if term.__class__ is String:
         return term.text
     if term.__class__ is not Atom or term is NIL:

@@ -76,11 +76,7 @@ def _parse_mode(term: Term) -> str:
     Raises:
         PrologError: an instantiation, type or domain error.
     """
-    mode = deref(term)
-    if mode.__class__ is Var:
-        raise instantiation_error()
-    if not isinstance(mode, Atom):
-        raise type_error("atom", mode)
+    mode = atom_of(term)
     if mode.name not in ("read", "write", "append"):
         raise domain_error("io_mode", mode)
     return mode.name

@@ -31,7 +31,11 @@ from typing import Any, Callable, Dict, Hashable, List, NamedTuple, Optional, Se
 
 from ..compiler.clause_nodes import ARROW, SEMICOLON
 from ..database.predicate import Predicate
-from ..machine.errors import domain_error, instantiation_error, type_error, uninstantiation_error
+from ..machine.errors import (
+    domain_error,
+    instantiation_or_type_error,
+    uninstantiation_error,
+)
 from ..machine.machine import Code, Guard
 from ..terms.list_terms import conjunction
 from ..terms.term_traversal import SELF_KEYED, copy, has_no_variables, term_key, variables
@@ -114,10 +118,8 @@ def _parse_predicate_name(predicate: Term, arity: int) -> str:
     # `lattice(PI)` needs a predicate of arity 3, `po(PI)` one of arity 2.
     if declared_arity != arity:
         raise domain_error("lattice_arity" if arity == 3 else "po_arity", declared_arity)
-    if name.__class__ is Var:
-        raise instantiation_error()
     if name.__class__ not in (Atom, Functor):
-        raise type_error("atom", name)
+        raise instantiation_or_type_error("atom", name)
     return str(name.name)
 
 

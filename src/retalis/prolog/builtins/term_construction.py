@@ -10,13 +10,20 @@ from zlib import crc32
 
 from ...foundation.limit_checks import STEPS_PER_ROUND, check_limits, with_limit_checks
 from ..machine.arithmetic import evaluate
-from ..machine.errors import domain_error, instantiation_error, permission_error, resource_error, type_error
+from ..machine.errors import (
+    domain_error,
+    instantiation_error,
+    instantiation_or_type_error,
+    permission_error,
+    resource_error,
+    type_error,
+)
 from ..machine.machine import LAST
 from ..terms.list_terms import make_list
 from ..terms.term_traversal import copy, is_ground, resolve, variables
 from ..terms.types import NIL, Atom, CompoundTerm, Term, Var, atom, deref, functor
 from ..terms.unification import unify
-from .argument_checks import atom_of, check_tail, integer, is_iso, items, natural, partial_items
+from .argument_checks import atom_of, bound, check_tail, integer, is_iso, items, natural, partial_items
 from .builtin_registry import Outcome, ProgramMachine, Solutions, deterministic, function, nondeterministic
 from .text_arguments import atomic_text, require_no_compound
 
@@ -42,9 +49,7 @@ def functor_of(machine: ProgramMachine, term: Term, name: Term, arity: Term) -> 
 @function("$blank/3")
 def make_most_general(name: Term, arity: Term) -> Term:
     """Return the most general term of a name and an arity; compiled clauses call it for ``functor/3``."""
-    name, arity = deref(name), deref(arity)
-    if name.__class__ is Var:
-        raise instantiation_error()
+    name, arity = bound(name), deref(arity)
     count = integer(arity)
     # An atomic term is its own name with arity 0.
     if count == 0:
@@ -83,9 +88,7 @@ def arg(machine: ProgramMachine, number: Term, term: Term, value: Term) -> Outco
     """Relate a compound term with its arguments."""
     number, term = deref(number), deref(term)
     if term.__class__ is not tuple:
-        if term.__class__ is Var:
-            raise instantiation_error()
-        raise type_error("compound", term)
+        raise instantiation_or_type_error("compound", term)
     if number.__class__ is Var:
         return _enumerate_arguments(machine, number, term, value)
     index = natural(number)
@@ -104,9 +107,7 @@ def get_argument(number: Term, term: Term) -> Optional[Term]:
     """Return an argument by its number; compiled clauses call it, except for simple cases that they do inline."""
     term = deref(term)
     if term.__class__ is not tuple:
-        if term.__class__ is Var:
-            raise instantiation_error()
-        raise type_error("compound", term)
+        raise instantiation_or_type_error("compound", term)
     index = natural(number)
     return term[index] if 0 < index < len(term) else None
 
@@ -183,11 +184,7 @@ def compound_name_arguments(machine: ProgramMachine, term: Term, name: Term, arg
         return unify(arguments, make_list(term[1:]), machine.trail)
     if term.__class__ is not Var:
         raise type_error("compound", term)
-    name = deref(name)
-    if name.__class__ is Var:
-        raise instantiation_error()
-    if name.__class__ is not Atom:
-        raise type_error("atom", name)
+    name = atom_of(name)
     values = items(arguments)
     return unify(term, _make_compound(name, values), machine.trail)
 

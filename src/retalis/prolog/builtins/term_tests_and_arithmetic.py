@@ -55,7 +55,7 @@ from ..terms.types import (
     functor_name,
 )
 from ..terms.unification import always_different, compare, compare_by_age, undo, unify
-from .argument_checks import integer, integer_or_var, items, natural
+from .argument_checks import bound, integer, integer_or_var, items, natural
 from .builtin_registry import ProgramMachine, control, deterministic
 from .text_arguments import is_text_list
 
@@ -176,9 +176,6 @@ def succ(machine: ProgramMachine, smaller: Term, greater: Term) -> bool:
     """Relate a non-negative integer with its successor."""
     smaller = deref(smaller)
     if smaller.__class__ is Var:
-        greater = deref(greater)
-        if greater.__class__ is Var:
-            raise instantiation_error()
         value = natural(greater)
         return value > 0 and unify(smaller, value - 1, machine.trail)
     value = natural(smaller)
@@ -508,9 +505,7 @@ def must_be(machine: ProgramMachine, type_term: Term, term: Term) -> bool:
 @deterministic("is_of_type/2", is_protected=False)
 def is_of_type(machine: ProgramMachine, type_term: Term, term: Term) -> bool:
     """Test that a term has a type; fail for an unknown type."""
-    type_term = deref(type_term)
-    if type_term.__class__ is Var:
-        raise instantiation_error()
+    type_term = bound(type_term)
     return bool(has_type(type_term, deref(term)))
 
 

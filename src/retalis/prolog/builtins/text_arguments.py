@@ -15,6 +15,7 @@ from ..machine.errors import (
     PrologError,
     domain_error,
     instantiation_error,
+    instantiation_or_type_error,
     representation_error,
     resource_error,
     syntax_error,
@@ -232,9 +233,7 @@ def atomic_text(term: Term, type_name: str = "atomic") -> str:
     term = deref(term)
     text = constant_text(term)
     if text is None:
-        if term.__class__ is Var:
-            raise instantiation_error()
-        raise type_error(type_name, term)
+        raise instantiation_or_type_error(type_name, term)
     return text
 
 

@@ -16,14 +16,20 @@ from typing import Any, Callable, Dict, List, Match, Tuple
 
 from ...foundation.errors import UsageError
 from ..machine.arithmetic import Number, check_result
-from ..machine.errors import domain_error, evaluation_error, instantiation_error, type_error
+from ..machine.errors import (
+    domain_error,
+    evaluation_error,
+    instantiation_error,
+    instantiation_or_type_error,
+    type_error,
+)
 from ..machine.machine import LAST
 from ..terms import timestamps
 from ..terms.list_terms import make_list
 from ..terms.timestamps import DATIME6, DATIME7, SECOND
 from ..terms.types import CONS, NIL, Atom, CompoundTerm, Lazy, Term, Var, atom, deref, functor
 from ..terms.unification import unify
-from .argument_checks import integer, number
+from .argument_checks import bound, integer, number
 from .builtin_registry import ProgramMachine, Solutions, deterministic, function, nondeterministic
 from .output_predicates import write_to
 from .text_arguments import fill_sink, is_sink, text_of
@@ -63,9 +69,7 @@ def convert_to_datime(time: Term) -> Term:
         if tail.__class__ is tuple and tail[0] is CONS and deref(tail[2]) is NIL:
             instant = timestamps.from_parts(integer(time[1]), integer(tail[1]))
             return timestamps.lazy_term(instant)
-    if time.__class__ is Var:
-        raise instantiation_error()
-    raise type_error("[Sec,NSec]", time)
+    raise instantiation_or_type_error("[Sec,NSec]", time)
 
 
 @function("datime_interpolate/4")
@@ -315,10 +319,8 @@ def stamp_date_time(machine: ProgramMachine, stamp: Term, result: Term, zone: Te
 def date_time_stamp(machine: ProgramMachine, date: Term, stamp: Term) -> bool:
     """Unify with the stamp of a date term."""
     date = deref(date)
-    if date.__class__ is Var:
-        raise instantiation_error()
     if date.__class__ is not tuple or date[0] not in (_DATE9, _DATE3):
-        raise type_error("time", date)
+        raise instantiation_or_type_error("time", date)
     return unify(stamp, _to_stamp(*_split_date(date)), machine.trail)
 
 
@@ -351,9 +353,7 @@ def date_time_value(machine: ProgramMachine, name: Term, date: Term, value: Term
 @deterministic("day_of_the_week/2")
 def day_of_the_week(machine: ProgramMachine, date_term: Term, number: Term) -> bool:
     """Unify with the day of the week of ``date(Y,M,D)``; Monday is 1."""
-    date_term = deref(date_term)
-    if date_term.__class__ is Var:
-        raise instantiation_error()
+    date_term = bound(date_term)
     if date_term.__class__ is not tuple or date_term[0] is not _DATE3:
         return False
     year, month, day = (integer(part) for part in date_term[1:])
@@ -456,9 +456,7 @@ def _value_and_difference(machine: ProgramMachine, name: str, value: int) -> Ter
 @deterministic("statistics/2")
 def statistics(machine: ProgramMachine, key: Term, value: Term) -> bool:
     """Unify with a statistic of the process or the machine."""
-    key = deref(key)
-    if key.__class__ is Var:
-        raise instantiation_error()
+    key = bound(key)
     if key.__class__ is not Atom or key.name not in _STATISTICS:
         raise domain_error("statistics_key", key)
     return unify(value, _STATISTICS[key.name](machine), machine.trail)

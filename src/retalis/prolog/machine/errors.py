@@ -166,6 +166,11 @@ def type_error(type_name: str, culprit: Term, reason: Optional[str] = None) -> P
     return error((_TYPE_ERROR, atom(type_name), culprit), _reason_context(reason))
 
 
+def instantiation_or_type_error(type_name: str, culprit: Term, reason: Optional[str] = None) -> PrologError:
+    """Return the error for an argument that does not have a type: an instantiation error if it is unbound."""
+    return instantiation_error() if culprit.__class__ is Var else type_error(type_name, culprit, reason)
+
+
 def domain_error(domain: str, culprit: Term, reason: Optional[str] = None) -> PrologError:
     """Return the error for a term of the right type whose value is not allowed."""
     return error((_DOMAIN_ERROR, atom(domain), culprit), _reason_context(reason))

@@ -7,7 +7,8 @@ SWI-Prolog for each of its threads.
 from typing import TYPE_CHECKING, Any, Callable, List, NamedTuple, Optional, Tuple
 
 from ...foundation.errors import UsageError
-from ..machine.errors import existence_error, indicator, instantiation_error, permission_error, type_error
+from ..builtins.argument_checks import bound
+from ..machine.errors import existence_error, indicator, permission_error, type_error
 from ..machine.machine import Machine
 from ..system.prolog_system import PrologSystem
 from ..system.value_conversion import to_python
@@ -132,9 +133,7 @@ def _resolve_source(spec: Term, files: "SourceFiles") -> Term:
     Raises:
         PrologError: if the file does not exist.
     """
-    spec = deref(spec)
-    if spec.__class__ is Var:
-        raise instantiation_error()
+    spec = bound(spec)
     # Libraries are searched by SWI-Prolog in its own folders.
     if spec.__class__ is tuple and spec[0] is _LIBRARY:
         return spec

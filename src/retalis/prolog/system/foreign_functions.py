@@ -41,7 +41,7 @@ from typing import (
 
 from ...foundation.displayed_text import format_count
 from ...foundation.errors import RetalisError, UsageError
-from ..machine.errors import PrologError, instantiation_error, permission_error, type_error
+from ..machine.errors import PrologError, instantiation_or_type_error, permission_error
 from ..machine.machine import Machine
 from ..machine.resource_limits import EntryExecutor
 from ..terms.types import SLASH, Atom, Functor, String, Term, Var, atom, deref, functor
@@ -291,10 +291,8 @@ def define_use_foreign(
 
     def use_foreign(machine: Machine, module: Term) -> bool:
         module = deref(module)
-        if module.__class__ is Var:
-            raise instantiation_error()
         if not isinstance(module, (Atom, String)):
-            raise type_error("atom", module)
+            raise instantiation_or_type_error("atom", module)
         reason = "" if is_allowed else "the setting allow_foreign is off"
         if not files.sandbox.is_loading:
             reason = "Python may be loaded only by the program's own files, while they are being loaded"
