@@ -18,7 +18,6 @@ from ..events.clock.stamp_jumps import JumpDecision, StampJumps
 from ..events.dispatch.dispatcher import Dispatcher
 from ..events.knowledge.knowledge_base import KnowledgeBase
 from ..events.language.event_declarations import DeclaredEvents, event_name_error
-from ..events.matches.watermarks import functor_of
 from ..events.program.topic_configuration import TopicEvent, Topics, TopicType
 from ..events.rules.event_input_predicates import InputReader
 from ..events.rules.rule_base import RuleBase
@@ -34,7 +33,7 @@ from ..prolog.machine.machine import Machine
 from ..prolog.syntax.operators import Operators
 from ..prolog.system.prolog_system import PrologSystem
 from ..prolog.terms.timestamps import format_distance
-from ..prolog.terms.types import Atom, String, Term, deref
+from ..prolog.terms.types import Atom, String, Term, deref, functor_of
 from ..serialization.field_types import COUNT
 from ..serialization.state_fields import StateFields, StateOwner, field, part
 from .redelivered_messages import IdentifiedMessage, ProcessedMessages

@@ -11,7 +11,7 @@ from ..foundation.limit_checks import check_limits
 from ..prolog.system.prolog_system import PrologSystem
 from ..prolog.terms.list_terms import list_items
 from ..prolog.terms.term_traversal import copy
-from ..prolog.terms.types import Term, Trail, deref, functor
+from ..prolog.terms.types import Term, Trail, deref, functor, functor_of
 from ..prolog.terms.unification import undo, unify
 
 _COMMA_FUNCTOR = functor(",", 2)
@@ -61,7 +61,7 @@ class WhyNotPublished:
         """
         count = 0
         for subscription in self._copy_subscriptions():
-            if _functor_of(subscription.event) != _functor_of(event):
+            if functor_of(subscription.event) != functor_of(event):
                 continue
             reason = self._explain_rejection(subscription, event)
             if reason:
@@ -75,7 +75,7 @@ class WhyNotPublished:
         count = 0
         for subscription in self._copy_subscriptions():
             template = deref(subscription.template)
-            if _functor_of(template) is None or _functor_of(template) != _functor_of(message):
+            if functor_of(template) is None or functor_of(template) != functor_of(message):
                 continue
             # Only tested, not bound: the subscription is used with its own variables afterwards.
             if can_unify(template, message) and count < _MAX_SUBSCRIPTIONS:
@@ -90,7 +90,7 @@ class WhyNotPublished:
     ) -> Iterator[Tuple[Occurrence, str]]:
         """Yield the events with the functor of a subscription, and the reason if it did not select them, or ""."""
         for occurrence in occurrences:
-            if _functor_of(occurrence.term) == _functor_of(subscription.event):
+            if functor_of(occurrence.term) == functor_of(subscription.event):
                 yield occurrence, self._explain_rejection(subscription, occurrence.term)
 
     def _copy_subscriptions(self) -> Iterator[SubscriptionCopy]:
@@ -141,12 +141,6 @@ class WhyNotPublished:
         except RetalisError as error:
             return f"ends with an error: {error.message}"
         return "is false"
-
-
-def _functor_of(term: Any) -> Any:
-    """Return the functor of a term, or None for other terms."""
-    term = deref(term)
-    return term[0] if term.__class__ is tuple else getattr(term, "functor", None)
 
 
 def can_unify(first: Term, second: Term) -> bool:

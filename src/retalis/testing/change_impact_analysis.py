@@ -40,14 +40,7 @@ from ..engine.engine import Engine
 from ..engine.loaded_items import clause_key
 from ..events.checks.abstract_store import raised_event
 from ..events.checks.event_flow_checks import SUBSCRIBE_TO
-from ..events.checks.program_model import (
-    MAX_SOURCE_CHARACTERS,
-    SUBSCRIBE,
-    ProgramModel,
-    key_of,
-    subterms,
-    wrap_term,
-)
+from ..events.checks.program_model import MAX_SOURCE_CHARACTERS, SUBSCRIBE, ProgramModel, subterms, wrap_term
 from ..events.knowledge.knowledge_base import OWN_EVENTS
 from ..events.knowledge.subscriptions import Subscription, SubscriptionKey
 from ..events.language.called_predicates import calls
@@ -77,7 +70,7 @@ from ..playback.bag_transport import list_topic_names
 from ..prolog.builtins.builtin_registry import ENTRIES
 from ..prolog.terms.list_terms import list_items
 from ..prolog.terms.term_traversal import term_key
-from ..prolog.terms.types import Atom, CompoundTerm, Functor, String, Term, deref, functor
+from ..prolog.terms.types import Atom, CompoundTerm, Functor, String, Term, deref, functor, functor_of
 
 _FOLLOWED_MODULES = frozenset(
     f"retalis.prolog.builtins.{name}"
@@ -312,7 +305,7 @@ class ProgramVersion:
         """Check the goals of the files, and list those that are compared as they are."""
         for goal in self._model.goals:
             for call in calls(goal.parent, goal.position):
-                key = key_of(call.term)
+                key = functor_of(call.term)
                 if key in _SETTING_GOALS:
                     self.settings.append(term_key(call.term))
                 elif key not in _LOADING_GOALS and key is not SUBSCRIBE and key not in SUBSCRIBE_TO:
@@ -367,7 +360,7 @@ class ProgramVersion:
         while stack:
             goal = stack.pop()
             for call in calls(wrap_term(goal), 1):
-                key = key_of(call.term)
+                key = functor_of(call.term)
                 if key in self._bodies:
                     if key not in predicates:
                         predicates.add(key)
@@ -405,7 +398,7 @@ def _formats_text(goal: Any) -> bool:
     """Return whether a goal is ``format/3`` that creates a text, without directives that call goals."""
     if goal.__class__ is not tuple or goal[0] is not _FORMAT:
         return False
-    sink, text = key_of(goal[1]), deref(goal[2])
+    sink, text = functor_of(goal[1]), deref(goal[2])
     template = text.name if isinstance(text, Atom) else text.text if isinstance(text, String) else "~@"
     directives = (part.lstrip("0123456789*")[:1] for part in template.split("~")[1:])
     return sink in _TEXT_SINKS and not any(letter in ("p", "@") for letter in directives)
@@ -422,7 +415,7 @@ def _name_of(event: Term) -> str:
     Raises:
         _Unfollowed: if it is a variable.
     """
-    key = key_of(event)
+    key = functor_of(event)
     if key is None:
         raise _Unfollowed
     return key.name

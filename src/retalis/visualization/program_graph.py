@@ -23,7 +23,6 @@ from typing import (
     List,
     Mapping,
     NamedTuple,
-    Optional,
     Set,
     Tuple,
 )
@@ -43,7 +42,7 @@ from ..foundation.source_places import line_of
 from ..prolog.database.predicate import Predicate
 from ..prolog.terms.list_terms import list_items, list_parts
 from ..prolog.terms.term_traversal import variables
-from ..prolog.terms.types import Atom, Functor, Term, Var, atom, deref, functor
+from ..prolog.terms.types import Atom, Functor, Term, Var, atom, deref, functor, functor_of
 
 MAX_NODES = 150
 """Maximum number of nodes of a graph; larger graphs are not readable."""
@@ -255,7 +254,7 @@ class _GraphBuilder:
             name: Any = deref(items[0]) if items else None
             if isinstance(name, Atom):
                 sources.append(_make_node_id("memory", name.name))
-            elif _get_functor(name) is TF:
+            elif functor_of(name) is TF:
                 is_memory = not variables(name) and self._program.knowledge.memories.find(name) is not None
                 sources.append(
                     _make_node_id("memory", self._program.logic.brief(name))
@@ -304,7 +303,7 @@ class _GraphBuilder:
     def _add_facts(self, node: str, term: Any) -> None:
         """Add an edge if a goal reads, adds or removes facts of the program."""
         is_storing = term.__class__ is tuple and term[0] in _FACT_STORING_GOALS
-        key = _get_functor(deref(term[1]) if is_storing else term)
+        key = functor_of(deref(term[1]) if is_storing else term)
         predicate = None if key is None else self._program.logic.database.predicates.get(key)
         if predicate is None or not (is_storing or _has_facts_only(predicate)):
             return
@@ -324,7 +323,7 @@ class _GraphBuilder:
         while pending and self._remaining_terms > 0:
             self._remaining_terms -= 1
             term = deref(pending.pop())
-            key = _get_functor(term)
+            key = functor_of(term)
             # A variable or a number. The goal that a variable stands for is known at run time only.
             if key is None:
                 continue
@@ -340,7 +339,7 @@ class _GraphBuilder:
 
     def _add_event(self, pattern: Term) -> str:
         """Return the id of the node for the events of a pattern."""
-        key = _get_functor(deref(pattern))
+        key = functor_of(deref(pattern))
         if key is None:
             return self._add_node("event", ANY_EVENT_LABEL, "events of all kinds")
         return self._add_node("event", str(key), str(key))
@@ -382,14 +381,8 @@ def _name_kinds(ids: Iterable[str]) -> str:
     return " and ".join(_KIND_PLURALS[kind] for kind in sorted(kinds)) or "memories"
 
 
-def _get_functor(term: Term) -> Optional[Functor]:
-    """Return the functor of an atom or compound term, or None for other terms."""
-    term_functor: Optional[Functor] = term[0] if term.__class__ is tuple else getattr(term, "functor", None)
-    return term_functor
-
-
 def _get_predicate_name(goal: Term) -> str:
-    key = _get_functor(goal)
+    key = functor_of(goal)
     return "query" if key is None else key.name
 
 

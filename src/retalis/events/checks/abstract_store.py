@@ -9,7 +9,7 @@ from collections import deque
 from typing import Any, Deque, Dict, Hashable, Iterator, List, Optional, Set
 
 from ...messages.type_definition import Definition
-from ...prolog.terms.types import Atom, CompoundTerm, Functor, Term, Var, deref, functor
+from ...prolog.terms.types import Atom, CompoundTerm, Functor, Term, Var, deref, functor, functor_of
 from ..knowledge.knowledge_base import OWN_EVENTS
 from ..language.event_declarations import Declaration
 from ..language.pattern_parser import PlaceLookup
@@ -17,7 +17,7 @@ from ..language.rule_heads import event_raised_by, makes_event
 from .abstract_environment import Environment
 from .event_flow_checks import SUBSCRIBE_TO, functors_in_fact
 from .predicate_checks import ASSERTING_PREDICATES
-from .program_model import NECK, ProgramModel, key_of, wrap_term
+from .program_model import NECK, ProgramModel, wrap_term
 from .value_kinds import Kinds, ValueOrigin, join, kind_of
 
 Values = List[Kinds]
@@ -183,7 +183,7 @@ def find_own_events(program: ProgramModel, goals: List[Any]) -> Set[Functor]:
     heads = [event_raised_by(rule.definition.head) for rule in program.rules]
     raised = [raised_event(term) for term in goals if makes_event(term)]
     for event in (*heads, *raised):
-        key = None if event is None else key_of(event)
+        key = None if event is None else functor_of(event)
         if key is not None:
             produced.add(key)
         elif event.__class__ is Var:
@@ -200,7 +200,7 @@ def _find_external_events(program: ProgramModel, goals: List[Any]) -> Set[Hashab
     """Return the functors or names of the events that come from elsewhere as well."""
     external: Set[Hashable] = set(OWN_EVENTS)
     for clause in program.clauses:
-        if key_of(clause.head) is _INPUT_EVENT:
+        if functor_of(clause.head) is _INPUT_EVENT:
             external.update(functors_in_fact(clause.head))
     for term in goals:
         if term[0] in SUBSCRIBE_TO:
@@ -210,12 +210,12 @@ def _find_external_events(program: ProgramModel, goals: List[Any]) -> Set[Hashab
 
 def find_own_predicates(program: ProgramModel, goals: List[Any]) -> Set[Functor]:
     """Return the functors of the predicates whose clauses are all in the program, or asserted by its goals."""
-    asserted = {key_of(clause_head(term[1])) for term in goals if term[0] in ASSERTING_PREDICATES}
+    asserted = {functor_of(clause_head(term[1])) for term in goals if term[0] in ASSERTING_PREDICATES}
     # ``assertz(X)`` may add a clause to any predicate.
     if None in asserted:
         return set()
     own_keys: Set[Functor] = set()
-    for key in {*(key_of(clause.head) for clause in program.clauses), *asserted}:
+    for key in {*(functor_of(clause.head) for clause in program.clauses), *asserted}:
         if key is None or not key.arity or program.logic.is_system_predicate(key):
             continue
         predicate = program.logic.database.predicates.get(key)

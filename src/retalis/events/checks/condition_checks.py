@@ -10,7 +10,7 @@ from typing import Any, Dict, Iterator, List, Mapping, NamedTuple, Set, Tuple, U
 from ...foundation.errors import RuleError
 from ...prolog.machine.arithmetic import EVALUABLE
 from ...prolog.terms.term_traversal import term_key, variables
-from ...prolog.terms.types import Atom, CompoundTerm, Functor, Term, Var, deref, functor
+from ...prolog.terms.types import Atom, CompoundTerm, Functor, Term, Var, deref, functor, functor_of
 from ..language.called_predicates import conjunctions
 from ..language.pattern_parser import PlaceLookup, no_place
 from ..language.pattern_tree import (
@@ -29,7 +29,7 @@ from ..language.pattern_tree import (
     children,
 )
 from ..language.rule_heads import event_raised_by
-from .program_model import ProgramModel, SourceRule, Subterm, key_of, subterms, wrap_term
+from .program_model import ProgramModel, SourceRule, Subterm, subterms, wrap_term
 
 NUMERIC_COMPARISONS = frozenset(functor(name, 2) for name in ("<", ">", "=<", ">=", "=:=", "=\\="))
 ALTERNATIVES = frozenset((functor("or", 2), functor("\\/", 2), functor(";", 2), functor("->", 2)))
@@ -107,7 +107,7 @@ def conjunctions_of(program: ProgramModel) -> Iterator[Conjunction]:
 def _consequence_of_failure(rule: SourceRule, node: Union[ConditionPattern, ActionPattern]) -> str:
     """Return the consequence if the goal of ``do`` always fails, or "" if the rule has no event or is disabled."""
     head = event_raised_by(rule.definition.head)
-    key = None if head is None else key_of(head)
+    key = None if head is None else functor_of(head)
     if not isinstance(node, ActionPattern) or key is None or key.name in _NO_EVENTS:
         return ""
     return (

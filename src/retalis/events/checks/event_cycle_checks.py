@@ -9,7 +9,7 @@ from typing import Any, Dict, Hashable, Iterator, List, NamedTuple, Optional, Se
 
 from ...foundation.errors import RuleError
 from ...prolog.terms.term_traversal import copy
-from ...prolog.terms.types import COMMA, Functor, Term, Var, deref
+from ...prolog.terms.types import COMMA, Functor, Term, Var, deref, functor_of
 from ...prolog.terms.unification import unify
 from ..language.pattern_tree import (
     ActionPattern,
@@ -20,7 +20,7 @@ from ..language.pattern_tree import (
     WithinPattern,
 )
 from ..language.rule_heads import ALARMS, event_raised_by
-from .program_model import ProgramModel, SourceRule, key_of
+from .program_model import ProgramModel, SourceRule
 
 
 class _TriggerEdge(NamedTuple):
@@ -44,10 +44,10 @@ def find_cycles(program: ProgramModel) -> Iterator[RuleError]:
         reported.update(cycle)
         edge = edges[index]
         names = " <- ".join(
-            str(key_of(edges[edge_index].head)) for edge_index in reversed([*cycle, cycle[0]])
+            str(functor_of(edges[edge_index].head)) for edge_index in reversed([*cycle, cycle[0]])
         )
         subject = (
-            f"{key_of(edge.head)} fires itself"
+            f"{functor_of(edge.head)} fires itself"
             if len(cycle) == 1
             else f"these events fire each other ({names})"
         )
@@ -60,10 +60,10 @@ def find_cycles(program: ProgramModel) -> Iterator[RuleError]:
 def _trigger_edges_of(rule: SourceRule) -> Iterator[_TriggerEdge]:
     head = rule.definition.head
     # Alarms and queries raise their event later, so a cycle through them takes time.
-    if head is None or key_of(head) in ALARMS or event_raised_by(head) is not deref(head):
+    if head is None or functor_of(head) in ALARMS or event_raised_by(head) is not deref(head):
         return
     for event in _events_sufficient_for(rule.definition.pattern):
-        if key_of(event) is not None and key_of(head) is not None:
+        if functor_of(event) is not None and functor_of(head) is not None:
             yield _TriggerEdge(rule, head, event)
 
 
@@ -83,13 +83,13 @@ def _events_sufficient_for(pattern: Pattern) -> Iterator[Term]:
 def _indices_by_event(edges: List[_TriggerEdge]) -> Dict[Optional[Functor], List[int]]:
     indices: Dict[Optional[Functor], List[int]] = {}
     for index, edge in enumerate(edges):
-        indices.setdefault(key_of(edge.event), []).append(index)
+        indices.setdefault(functor_of(edge.event), []).append(index)
     return indices
 
 
 def _remove_acyclic_edges(edges: List[_TriggerEdge]) -> List[_TriggerEdge]:
     """Return the edges that can be part of a cycle: all others are removed in topological order."""
-    producer_counts = Counter(key_of(edge.head) for edge in edges)
+    producer_counts = Counter(functor_of(edge.head) for edge in edges)
     indices_by_event = _indices_by_event(edges)
     removed: Set[int] = set()
     # Kahn's algorithm: an edge that begins at an event without incoming edges is not part of a cycle.
@@ -97,7 +97,7 @@ def _remove_acyclic_edges(edges: List[_TriggerEdge]) -> List[_TriggerEdge]:
     while sources:
         for index in indices_by_event.get(sources.pop(), ()):
             removed.add(index)
-            key = key_of(edges[index].head)
+            key = functor_of(edges[index].head)
             producer_counts[key] -= 1
             if not producer_counts[key]:
                 sources.append(key)
@@ -112,11 +112,11 @@ def _find_successors(edges: List[_TriggerEdge]) -> List[List[int]]:
     indices_by_constant: Dict[Tuple[Optional[Functor], int], Dict[Hashable, List[int]]] = {}
     for index, edge in enumerate(edges):
         for position, constant in enumerate(constants[index]):
-            by_constant = indices_by_constant.setdefault((key_of(edge.event), position), {})
+            by_constant = indices_by_constant.setdefault((functor_of(edge.event), position), {})
             by_constant.setdefault(constant, []).append(index)
     successors = []
     for edge in edges:
-        key = key_of(edge.head)
+        key = functor_of(edge.head)
         candidates = indices_by_event.get(key, [])
         # Without the most selective argument, the states of a machine would all be compared with each other.
         for position, constant in enumerate(_constant_arguments(edge.head)):

@@ -11,7 +11,7 @@ from typing import Any, Dict, FrozenSet, Iterator, List, Optional, Sequence, Set
 from ...foundation.errors import RuleError
 from ...foundation.source_places import Place
 from ...messages.type_definition import functor_name
-from ...prolog.terms.types import SLASH, TRUE, Atom, Functor, Term, deref, functor
+from ...prolog.terms.types import SLASH, TRUE, Atom, Functor, Term, deref, functor, functor_of
 from ..knowledge.knowledge_base import OWN_EVENTS
 from ..language.called_predicates import calls
 from ..language.event_declarations import (
@@ -35,7 +35,6 @@ from .program_model import (
     SourceRule,
     SourceTerm,
     is_variable,
-    key_of,
     wrap_term,
 )
 
@@ -75,7 +74,7 @@ class EventProducers:
         for state in program.states:
             self._add_event(state.form.state, None)
         for clause in program.clauses:
-            if key_of(clause.head) is _INPUT_EVENT:
+            if functor_of(clause.head) is _INPUT_EVENT:
                 self.places_by_functor.update(dict.fromkeys(functors_in_fact(clause.head)))
 
     def __contains__(self, key: object) -> bool:
@@ -117,7 +116,7 @@ class EventProducers:
             self.places_by_functor.setdefault(functor(name, len(definition.fields)))
 
     def _add_event(self, term: Term, place: Optional[Place]) -> None:
-        key = key_of(term)
+        key = functor_of(term)
         if key is None:
             self.has_unknown_events = self.has_unknown_events or is_variable(term)
         elif key is not _NO_EVENT:
@@ -132,7 +131,7 @@ def functors_in_fact(head: Any) -> Iterator[Functor]:
         if isinstance(name, Atom) and isinstance(arity, int):
             yield functor(name.name, arity)
         return
-    key = key_of(term)
+    key = functor_of(term)
     if key is not None:
         yield key
 
@@ -151,7 +150,7 @@ def find_unproduced_events(program: ProgramModel) -> Iterator[RuleError]:
         if key is None or key in producers or key in reported or key is _NO_EVENT:
             continue
         # ``rev(E)`` occurs whenever events E are retracted, so it needs a producer of E only.
-        if key is _REV and key_of(subterm.term[1]) in producers:
+        if key is _REV and functor_of(subterm.term[1]) in producers:
             continue
         type_name = program.type_of(key.name)
         if type_name is not None and (
@@ -180,14 +179,14 @@ def _heads_by_event(program: ProgramModel) -> Dict[Functor, Set[Functor]]:
     heads: Dict[Functor, Set[Functor]] = {}
     for rule in program.rules:
         head = event_raised_by(rule.definition.head)
-        head_key = None if head is None else key_of(head)
+        head_key = None if head is None else functor_of(head)
         for node in walk(rule.definition.pattern, negated=True):
-            key = key_of(node.term) if isinstance(node, EventPattern) else None
+            key = functor_of(node.term) if isinstance(node, EventPattern) else None
             if key is not None and head_key is not None:
                 heads.setdefault(key, set()).add(head_key)
     for state in program.states:
         for event in _events_of_state(state.form):
-            key = key_of(event.term)
+            key = functor_of(event.term)
             if key is not None:
                 heads.setdefault(key, set()).add(state.form.functor)
     return heads
@@ -218,7 +217,7 @@ def explain_missing_producer(program: ProgramModel, pattern: Term) -> str:
 
     Variables, messages, ``null_event`` and ``rev/1`` get no warning.
     """
-    key = key_of(pattern)
+    key = functor_of(pattern)
     if key is None or key is _NO_EVENT or key is _REV or program.type_of(key.name) is not None:
         return ""
     producers = EventProducers(program)
@@ -239,7 +238,7 @@ def find_unconsumed_events(program: ProgramModel) -> Iterator[RuleError]:
     reported: Set[Functor] = set()
     for rule in program.rules:
         head = event_raised_by(rule.definition.head)
-        key = None if head is None else key_of(head)
+        key = None if head is None else functor_of(head)
         if (
             head is None
             or key is None
@@ -258,7 +257,7 @@ def find_unconsumed_events(program: ProgramModel) -> Iterator[RuleError]:
     for subterm in program.all_subterms():
         term = subterm.term
         if makes_event(term) and term[0].name != "event":
-            key = key_of(term[1])
+            key = functor_of(term[1])
             if key is not None and key not in consumed_functors and key not in reported:
                 reported.add(key)
                 yield RuleError(_explain_missing_consumer(key, consumed_functors, suggestions), subterm.place)
@@ -280,9 +279,9 @@ def _consumed_functors(program: ProgramModel) -> Optional[FrozenSet[Functor]]:
             return None
         consumed_functors.add(subterm.key)
         if subterm.key is _REV:
-            consumed_functors.update(filter(None, [key_of(subterm.term[1])]))
+            consumed_functors.update(filter(None, [functor_of(subterm.term[1])]))
     for clause in program.clauses:
-        if key_of(clause.head) in _CONSUMER_FACTS:
+        if functor_of(clause.head) in _CONSUMER_FACTS:
             functors = list(functors_in_fact(clause.head))
             if not functors:
                 return None

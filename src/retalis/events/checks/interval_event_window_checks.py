@@ -10,7 +10,7 @@ from collections import deque
 from typing import Any, Deque, Dict, Iterator, List, Mapping, NamedTuple, Optional, Set
 
 from ...foundation.errors import RuleError
-from ...prolog.terms.types import CompoundTerm, Functor, Var, deref, functor
+from ...prolog.terms.types import CompoundTerm, Functor, Var, deref, functor, functor_of
 from ..language.event_operators import PAIR_OPERATORS
 from ..language.pattern_tree import (
     AT_END,
@@ -27,7 +27,7 @@ from ..language.pattern_tree import (
 )
 from ..language.rule_heads import ALARMS, event_raised_by
 from ..language.stream_parser import is_event, window_term
-from .program_model import ProgramModel, SourceRule, key_of, subterms, wrap_term
+from .program_model import ProgramModel, SourceRule, subterms, wrap_term
 
 _AGGREGATE = functor("aggregate", 4)
 _SAME_INTERVAL = {"s1 == s2", "e1 == e2"}
@@ -95,7 +95,7 @@ def _find_duration(pattern: Pattern) -> _Duration:
     while stack:
         node = stack.pop()
         if isinstance(node, EventPattern):
-            key = key_of(node.term)
+            key = functor_of(node.term)
             if key is not None:
                 events.add(key)
         elif isinstance(node, PairPattern):
@@ -120,7 +120,7 @@ def _find_long_events(program: ProgramModel) -> Dict[Functor, str]:
     heads_by_event: Dict[Functor, List[Functor]] = {}
     for rule in program.rules:
         head: Any = deref(rule.definition.head) if rule.definition.head is not None else None
-        key = None if head is None else key_of(event_raised_by(head))
+        key = None if head is None else functor_of(event_raised_by(head))
         if key is None:
             continue
         duration = _find_duration(rule.definition.pattern)

@@ -12,11 +12,11 @@ from typing import Any, Dict, Iterator, List, Mapping, NamedTuple, Optional, Set
 from ...foundation.errors import RuleError
 from ...foundation.source_places import Place
 from ...messages.type_definition import FLOATS, PRIMITIVES, Definition, Field
-from ...prolog.terms.types import Functor, Term, Var, deref, functor
+from ...prolog.terms.types import Functor, Term, Var, deref, functor, functor_of
 from ..language.pattern_tree import EventPattern, walk
 from ..language.rule_heads import NEW_EVENT, event_raised_by
 from .condition_checks import ALTERNATIVES
-from .program_model import ProgramModel, Subterm, key_of, subterms, wrap_term
+from .program_model import ProgramModel, Subterm, subterms, wrap_term
 
 _NUMERIC_EQUIVALENTS = {
     functor(name, 2): numeric
@@ -174,10 +174,10 @@ def _functors_of_created_events(program: ProgramModel) -> Set[Optional[Functor]]
     for rule in program.rules:
         head = event_raised_by(rule.definition.head)
         if head is not None:
-            created_keys.add(key_of(head))
+            created_keys.add(functor_of(head))
     for call in program.all_subterms():
         if call.term.__class__ is tuple and call.term[0] in NEW_EVENT:
-            created_keys.add(key_of(call.term[1]))
+            created_keys.add(functor_of(call.term[1]))
     return created_keys
 
 

@@ -23,21 +23,14 @@ from ...prolog.terms.types import (
     Var,
     deref,
     functor,
+    functor_of,
 )
 from ..language.called_predicates import calls
 from ..language.event_operators import OPERATOR_NAMES
 from ..language.state_parser import queried_state
 from ..program.topic_configuration import GOALS, RULES
 from .condition_checks import conjunctions_of
-from .program_model import (
-    NECK,
-    FunctorSuggestions,
-    ProgramModel,
-    SourceRule,
-    SourceTerm,
-    Subterm,
-    key_of,
-)
+from .program_model import NECK, FunctorSuggestions, ProgramModel, SourceRule, SourceTerm, Subterm
 
 ASSERTING_PREDICATES = frozenset(
     functor(name, arity)
@@ -68,7 +61,9 @@ class _DefinablePredicates:
 
     def __init__(self, program: ProgramModel):
         self._logic = program.logic
-        self.keys: Set[Functor] = {key for key in (key_of(clause.head) for clause in program.clauses) if key}
+        self.keys: Set[Functor] = {
+            key for key in (functor_of(clause.head) for clause in program.clauses) if key
+        }
         self.has_unknown_predicates = False
         for subterm in program.all_subterms():
             term = subterm.term
@@ -89,7 +84,7 @@ class _DefinablePredicates:
         stack: List[Any] = [deref(term)]
         while stack:
             item = stack.pop()
-            key = key_of(item)
+            key = functor_of(item)
             if key is None:
                 self.has_unknown_predicates = self.has_unknown_predicates or item.__class__ is Var
             elif key is COMMA or key is CONS:
@@ -151,7 +146,7 @@ def find_redefined_builtins(program: ProgramModel) -> Iterator[RuleError]:
     built_in = program.logic.database.library.shadowed_predicates
     reported: Set[Functor] = set()
     for clause in program.clauses:
-        key = None if clause.head is None else key_of(clause.head)
+        key = None if clause.head is None else functor_of(clause.head)
         if key is None or key in reported or key not in built_in or not built_in[key].is_protected:
             continue
         reported.add(key)
@@ -180,11 +175,11 @@ def find_undefined_predicates(program: ProgramModel) -> Iterator[RuleError]:
             reported[key] = None
             similar = program.logic.find_similar(key) if len(reported) <= _MAX_HINTS else []
             # A clause that calls itself was not meant.
-            similar = [name for name in similar if name != str(key_of(clause.head))]
+            similar = [name for name in similar if name != str(functor_of(clause.head))]
             hint = f"; did you mean {' or '.join(similar)}?" if similar else ""
             hint = hint or ": define it, or assert facts of it"
             if key in events or (
-                not similar and clause.head is not None and key_of(clause.head) not in called
+                not similar and clause.head is not None and functor_of(clause.head) not in called
             ):
                 hint += f"; if {key} is an event, the arrow of the rule is <-"
             yield RuleError(f"there is no predicate {key}{hint}", subterm.place)
@@ -222,7 +217,7 @@ def find_missing_first_clauses(program: ProgramModel) -> Iterator[RuleError]:
     if program.folder is None or not os.path.isdir(program.folder):
         return
     definable = _DefinablePredicates(program)
-    clause_keys = {key_of(clause.head) for clause in program.clauses}
+    clause_keys = {functor_of(clause.head) for clause in program.clauses}
     asserted = Counter(
         key_of_clause(subterm.term[1])
         for subterm in program.all_subterms()
@@ -274,7 +269,7 @@ def key_of_clause(term: Any) -> Optional[Functor]:
     term = deref(term)
     if term.__class__ is tuple and term[0] is NECK:
         term = deref(term[1])
-    return key_of(term)
+    return functor_of(term)
 
 
 def find_unloaded_rule_file(program: ProgramModel) -> Iterator[RuleError]:

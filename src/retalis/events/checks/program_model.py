@@ -37,7 +37,18 @@ from ...messages.type_registry import Definitions
 from ...prolog.syntax.term_reader import OF_FILES, ReadTerm, read_program
 from ...prolog.system.prolog_system import PrologSystem
 from ...prolog.terms.term_traversal import term_key, variables
-from ...prolog.terms.types import TRUE, Atom, CompoundTerm, Functor, String, Term, Var, deref, functor
+from ...prolog.terms.types import (
+    TRUE,
+    Atom,
+    CompoundTerm,
+    Functor,
+    String,
+    Term,
+    Var,
+    deref,
+    functor,
+    functor_of,
+)
 from ..knowledge.knowledge_base import KnowledgeBase
 from ..knowledge.memory import is_event_variable
 from ..language.called_predicates import calls
@@ -139,13 +150,7 @@ class Subterm(NamedTuple):
     @property
     def key(self) -> Optional[Functor]:
         """The functor of an atom or compound term, or None."""
-        return key_of(self.term)
-
-
-def key_of(term: Any) -> Optional[Functor]:
-    """Return the functor of an atom or compound term, or None for any other term."""
-    term = deref(term)
-    return term[0] if term.__class__ is tuple else term.functor if term.__class__ is Atom else None
+        return functor_of(self.term)
 
 
 def subterms(parent: CompoundTerm, position: int, place_of: PlaceLookup) -> Iterator[Subterm]:
@@ -297,7 +302,7 @@ def source_clause_of(term: Any, place_of: PlaceLookup, place: Optional[Place]) -
     if term.__class__ is tuple and term[0] is NECK:
         return SourceTerm(deref(term[1]), term, 2, place_of, place)
     if term.__class__ is tuple and term[0] is _GRAMMAR:
-        key = key_of(term[1])
+        key = functor_of(term[1])
         if key is not None:
             # The translation of a grammar rule adds two arguments, for the list and its rest.
             head: Tuple[Any, ...] = (functor(key.name, key.arity + 2), *[Var() for _ in range(key.arity + 2)])

@@ -13,13 +13,13 @@ from typing import Any, Dict, FrozenSet, Iterable, Iterator, List, NamedTuple, O
 from ...foundation.errors import RuleError
 from ...foundation.source_places import Place
 from ...prolog.terms.list_terms import conjuncts
-from ...prolog.terms.types import COMMA, CONS, SLASH, Atom, Functor, Term, deref, functor
+from ...prolog.terms.types import COMMA, CONS, SLASH, Atom, Functor, Term, deref, functor, functor_of
 from ..knowledge.transform_predicates import TRANSFORM_PREDICATES
 from ..language.called_predicates import calls
 from ..language.state_parser import HOLDS, queried_state
 from .memory_checks import MEMORY_READS, POSE_CHAIN
 from .predicate_checks import ASSERTING_PREDICATES, RETRACTING_PREDICATES, key_of_clause
-from .program_model import ProgramModel, Subterm, key_of, subterms, wrap_term
+from .program_model import ProgramModel, Subterm, subterms, wrap_term
 
 _TABLE, _DYNAMIC, _AS = functor("table", 1), functor("dynamic", 1), functor("as", 2)
 _CLAUSE = functor("clause", 2)
@@ -154,7 +154,7 @@ def _run_time_subterms(program: ProgramModel) -> Iterator[Subterm]:
     """Yield the subterms of goals that may be called after the program has been loaded."""
     run_time_predicates = _run_time_predicates(program)
     for clause in program.clauses:
-        if key_of(clause.head) in run_time_predicates:
+        if functor_of(clause.head) in run_time_predicates:
             yield from subterms(clause.parent, clause.position, clause.place_of)
     for rule in program.rules:
         yield from subterms(wrap_term(rule.definition.term), 1, rule.place_of)
@@ -167,7 +167,7 @@ def _run_time_predicates(program: ProgramModel) -> Set[Functor]:
     """
     callees: Dict[Functor, Set[Functor]] = {}
     for clause in program.clauses:
-        head_key = key_of(clause.head)
+        head_key = functor_of(clause.head)
         if head_key is not None:
             callees.setdefault(head_key, set()).update(
                 _functors_of(subterms(clause.parent, clause.position, clause.place_of))
@@ -209,7 +209,7 @@ def _direct_reads(program: ProgramModel, changed_predicates: Set[Functor]) -> Di
     """Return an example of the changing data that each predicate reads itself; other predicates have no entry."""
     reads: Dict[Functor, _ChangingData] = {}
     for clause in program.clauses:
-        head_key = key_of(clause.head)
+        head_key = functor_of(clause.head)
         if head_key is None or head_key in reads:
             continue
         for call in calls(clause.parent, clause.position):
@@ -225,10 +225,10 @@ def _data_read_by_goal(
 ) -> Optional[_ChangingData]:
     """Return the changing data that a goal reads, or None."""
     goal: Any = deref(term)
-    key = key_of(goal)
+    key = functor_of(goal)
     # ``clause(Head, Body)`` reads the clauses of the predicate of its head.
     if key is _CLAUSE:
-        key = key_of(goal[1])
+        key = functor_of(goal[1])
     if key is None:
         return None
     if key in changed_predicates:
@@ -251,10 +251,10 @@ def _data_read_by_goal(
 def _callers_by_predicate(program: ProgramModel) -> Dict[Functor, List[Functor]]:
     callers: Dict[Functor, List[Functor]] = {}
     for clause in program.clauses:
-        head_key = key_of(clause.head)
+        head_key = functor_of(clause.head)
         if head_key is not None:
             for call in calls(clause.parent, clause.position):
-                key = key_of(call.term)
+                key = functor_of(call.term)
                 if key is not None:
                     callers.setdefault(key, []).append(head_key)
     return callers

@@ -12,7 +12,7 @@ from ...foundation.displayed_text import format_duration
 from ...foundation.errors import RuleError
 from ...foundation.ros_name_checks import strip_slashes
 from ...prolog.terms.term_traversal import term_key, variables
-from ...prolog.terms.types import Atom, Functor, Var, atom, deref, functor
+from ...prolog.terms.types import Atom, Functor, Var, atom, deref, functor, functor_of
 from ..language.event_operators import OPERATOR_NAMES, PAIR_OPERATORS
 from ..language.pattern_tree import (
     AbsencePattern,
@@ -34,7 +34,7 @@ from ..language.rule_heads import event_raised_by
 from ..language.timer_schedules import TIMER, schedule_error
 from ..streams.rate_operators import RATE_OPERATORS
 from .condition_checks import IS, NUMERIC_COMPARISONS
-from .program_model import ProgramModel, SourceRule, Subterm, key_of, operator_place, subterms, wrap_term
+from .program_model import ProgramModel, SourceRule, Subterm, operator_place, subterms, wrap_term
 from .value_flow import ValueFlow
 from .value_kinds import NUMBER
 
@@ -110,7 +110,7 @@ class _InstantEvents:
         self._rules_by_event: Dict[Functor, List[SourceRule]] = {}
         self._functors_in_goals: Set[Functor] = set()
         for rule in program.rules:
-            key = None if rule.definition.head is None else key_of(event_raised_by(rule.definition.head))
+            key = None if rule.definition.head is None else functor_of(event_raised_by(rule.definition.head))
             if key is not None:
                 self._rules_by_event.setdefault(key, []).append(rule)
         for subterm in program.all_subterms():
@@ -120,7 +120,7 @@ class _InstantEvents:
                 and term[0].name in ("new_event", "event", "input_event")
                 and len(term) > 1
             ):
-                key = key_of(term[1])
+                key = functor_of(term[1])
                 # ``new_event/3`` sets an interval; a goal with a variable may raise any event.
                 if key is not None and term[0] is not _NEW_EVENT_INTERVAL:
                     self._functors_in_goals.add(key)
@@ -199,7 +199,7 @@ def _alternative_events(pattern: Pattern) -> Optional[Set[Functor]]:
     stack: List[Pattern] = [pattern]
     while stack:
         node = stack.pop()
-        key = key_of(node.term) if isinstance(node, EventPattern) else None
+        key = functor_of(node.term) if isinstance(node, EventPattern) else None
         if key is not None:
             events.add(key)
         elif isinstance(node, (OrPattern, ConditionPattern, WithinPattern, ActionPattern)):
@@ -346,7 +346,7 @@ def _periods_by_rule(program: ProgramModel) -> Dict[int, _RecordedPeriod]:
     rules_by_event: Dict[Functor, List[SourceRule]] = {}
     for rule in program.rules:
         for node in walk(rule.definition.pattern, negated=True):
-            key = key_of(node.term) if isinstance(node, EventPattern) else None
+            key = functor_of(node.term) if isinstance(node, EventPattern) else None
             if key is not None:
                 rules_by_event.setdefault(key, []).append(rule)
     result: Dict[int, _RecordedPeriod] = {}
@@ -358,7 +358,7 @@ def _periods_by_rule(program: ProgramModel) -> Dict[int, _RecordedPeriod]:
                 if id(rule.definition) not in result:
                     result[id(rule.definition)] = recorded
                     head = event_raised_by(rule.definition.head)
-                    head_key = None if head is None else key_of(head)
+                    head_key = None if head is None else functor_of(head)
                     events += [] if head_key is None else [head_key]
     return result
 

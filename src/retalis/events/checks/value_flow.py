@@ -20,14 +20,14 @@ from typing import Any, Iterator, List, NamedTuple, Optional
 
 from ...foundation.errors import RuleError
 from ...prolog.terms.term_traversal import variables
-from ...prolog.terms.types import TRUE, Atom, CompoundTerm, Functor, Term, deref
+from ...prolog.terms.types import TRUE, Atom, CompoundTerm, Functor, Term, deref, functor_of
 from ..language.rule_heads import ALARMS, SYNCHRONIZED
 from .abstract_environment import Environment
 from .abstract_store import AbstractStore, EventSignatures, Values, Worklist
 from .created_event_values import CreatedEvents
 from .goal_transfer import GoalTransfer
 from .pattern_transfer import PatternTransfer
-from .program_model import NECK, EventConsumer, ProgramModel, SourceRule, SourceTerm, StateDeclaration, key_of
+from .program_model import NECK, EventConsumer, ProgramModel, SourceRule, SourceTerm, StateDeclaration
 from .value_conflict_reports import ConflictReporter, ProgramPart
 
 
@@ -74,7 +74,7 @@ class ValueFlow:
         return self._store.kinds_of_event(key)
 
     def _add_constants_of_fact(self, clause: SourceTerm) -> None:
-        key = key_of(clause.head)
+        key = functor_of(clause.head)
         if key is not None and clause.parent[0] is not NECK and self._store.has_predicate(key):
             self._store.add_fact(key, clause.head, clause.place_of)
 
@@ -127,7 +127,7 @@ class ValueFlow:
 
     def _evaluate_clause(self, clause: _ClauseTerm, environment: Environment) -> None:
         self._goals.run(clause.parent, clause.position, environment)
-        key = None if clause.head is None else key_of(clause.head)
+        key = None if clause.head is None else functor_of(clause.head)
         if self._store.has_predicate(key):
             self._store.add_clause(clause.head, environment)
 
@@ -137,7 +137,7 @@ def _parts_of(program: ProgramModel) -> Iterator[ProgramPart]:
     names = program.names
     for clause in program.clauses:
         has_body = clause.parent[0] is NECK
-        if key_of(clause.head) is not None and (has_body or variables(clause.head or TRUE)):
+        if functor_of(clause.head) is not None and (has_body or variables(clause.head or TRUE)):
             term = _ClauseTerm(clause.head, clause.parent, clause.position)
             yield ProgramPart(term, names, clause.place_of, clause.place)
     for goal in program.goals:

@@ -49,7 +49,7 @@ from ...prolog.machine.machine import Machine
 from ...prolog.system.prolog_system import PrologSystem
 from ...prolog.terms.term_traversal import copy, freeze, term_key, variables
 from ...prolog.terms.timestamps import lazy_term
-from ...prolog.terms.types import Frame, Functor, Term, Values, Var, atom, deref, functor
+from ...prolog.terms.types import Frame, Functor, Term, Values, Var, atom, deref, functor, functor_of
 from ...prolog.terms.unification import may_unify
 from ...serialization.field_types import CALLABLE_TERM, COUNT, INSTANT, KEY, State, sequence_of, tuple_of
 from ...serialization.state_fields import (
@@ -67,7 +67,7 @@ from ..dispatch.listeners import Listener, ListenerPhase
 from ..dispatch.matcher_compiler import compile_builder
 from ..language.state_parser import StateForm, parse_state_declaration
 from ..matches.match_types import OPTIONAL_EVENT
-from ..matches.watermarks import PatternWatermark, Watermarks, functor_of
+from ..matches.watermarks import PatternWatermark, Watermarks
 from ..network.lineage_graph import Occurrence
 from .memory import Warn
 from .timeout_queue import Timeouts, are_increasing_orders

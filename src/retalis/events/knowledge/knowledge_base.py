@@ -13,11 +13,10 @@ from ...prolog.machine.errors import type_error
 from ...prolog.machine.machine import Machine
 from ...prolog.system.prolog_system import PrologSystem
 from ...prolog.terms.term_traversal import variables
-from ...prolog.terms.types import Frame, Functor, Term, deref, functor
+from ...prolog.terms.types import Frame, Functor, Term, deref, functor, functor_of
 from ..clock.clock import Clock
 from ..dispatch.dispatcher import Dispatcher
 from ..language.stream_parser import subscription_event
-from ..matches.watermarks import functor_of
 from ..rules.rule_base import RuleBase
 from .event_states import StateRegistry
 from .memory import UPDATED, MemoryInstance, Warn, key_of

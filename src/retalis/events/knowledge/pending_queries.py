@@ -44,7 +44,19 @@ from ...prolog.system.prolog_system import PrologSystem
 from ...prolog.terms import timestamps
 from ...prolog.terms.list_terms import list_items, make_list
 from ...prolog.terms.term_traversal import copy, positions, variables
-from ...prolog.terms.types import CONS, MINUS, TRUE, EventAction, Frame, Term, Values, Var, deref, functor
+from ...prolog.terms.types import (
+    CONS,
+    MINUS,
+    TRUE,
+    EventAction,
+    Frame,
+    Term,
+    Values,
+    Var,
+    deref,
+    functor,
+    functor_of,
+)
 from ...serialization.field_types import CALLABLE_TERM, COUNT, INSTANT, TERM, sequence_of, tuple_of
 from ...serialization.state_fields import (
     NextNumber,
@@ -61,7 +73,7 @@ from ..dispatch.listeners import ListenerPhase
 from ..dispatch.matcher_compiler import compile_builder
 from ..fused.fused_single_event import compile_query_action
 from ..matches.match_types import TOKEN
-from ..matches.watermarks import PatternWatermark, Watermarks, functor_of
+from ..matches.watermarks import PatternWatermark, Watermarks
 from ..network.event_rule import EventRule
 from .memory import MemoryInstance, Warn, key_of
 from .memory_registry import MemoryInstances

@@ -25,7 +25,7 @@ from ...foundation.errors import RetalisError, RuleError, TermTooLarge, UsageErr
 from ...prolog.machine.errors import domain_error, permission_error
 from ...prolog.system.prolog_system import PrologSystem
 from ...prolog.terms.term_traversal import copy, term_key, variables
-from ...prolog.terms.types import MINUS, Atom, EventAction, Frame, Term, Values, deref
+from ...prolog.terms.types import MINUS, Atom, EventAction, Frame, Term, Values, deref, functor_of
 from ...serialization.field_types import COUNT, State, invalid_value, sequence_of
 from ...serialization.state_fields import StateFields, StateOwner, constraint, field, part
 from ..dispatch.dispatcher import Dispatcher
@@ -34,7 +34,7 @@ from ..language.pattern_tree import RatePattern
 from ..language.stream_parser import subscription_event, subscription_rate_operator
 from ..matches.match_policies import NetworkOptions
 from ..matches.match_types import EventMatch
-from ..matches.watermarks import PatternWatermark, functor_of
+from ..matches.watermarks import PatternWatermark
 from ..network.network_context import NetworkContext
 from ..network.stream_compiler import compile_rate_spec
 from ..streams.stream_operators import StreamElement, StreamOperator, StreamOutput

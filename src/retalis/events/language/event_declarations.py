@@ -55,6 +55,7 @@ from ...prolog.terms.types import (
     atom,
     deref,
     functor,
+    functor_of,
 )
 from .called_predicates import Subgoal, calls
 from .event_operators import (
@@ -353,7 +354,7 @@ def parse_declarations(
 
 
 def _parse_declaration(term: Term, place: Optional[Place], place_of: PlaceLookup) -> Declaration:
-    key = _functor_of(term)
+    key = functor_of(term)
     if key is None:
         raise RuleError(f"a declaration names an event and its arguments, as in {_EXAMPLE}", place)
     name = key.name
@@ -485,7 +486,7 @@ class Declarations:
     ) -> Iterator[RuleError]:
         """Yield the errors of one event, and append events that it contains to ``inner_events``."""
         term: Any = deref(event.term)
-        key = _functor_of(term)
+        key = functor_of(term)
         if key is None:
             return
         # ``rev(E)`` retracts an event: its argument is checked as an event, not as an argument of an event.
@@ -614,14 +615,6 @@ def events_raised_by_goals(goals: Iterable[Subgoal]) -> Iterator[EventTerm]:
             if event.__class__ is tuple and event[0] is _EVENT2 and len(term) == 2:
                 term, event = event, deref(event[1])
             yield EventTerm(event, term, 1)
-
-
-def _functor_of(term: Term) -> Optional[Functor]:
-    """Return the functor of an event, or None for a variable and for other terms."""
-    if isinstance(term, tuple):
-        key: Functor = term[0]
-        return key
-    return term.functor if isinstance(term, Atom) else None
 
 
 def _declaration_template(key: Functor) -> str:

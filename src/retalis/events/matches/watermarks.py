@@ -17,7 +17,7 @@ from weakref import WeakMethod, WeakSet
 
 from ...foundation.errors import UsageError
 from ...prolog.terms.timestamps import SECOND
-from ...prolog.terms.types import Atom, Functor, Term, deref
+from ...prolog.terms.types import Atom, Functor, Term, deref, functor_of
 from ...serialization.field_types import CLOCK_INSTANT, COUNT, FUNCTOR
 from ...serialization.state_fields import StateFields, StateOwner, field, rows_of
 from ..language.pattern_tree import EventPattern, Pattern, RuleDefinition, walk
@@ -43,15 +43,6 @@ class StoredLag(NamedTuple):
     period_end: int
     period_max: int
     previous_max: int
-
-
-def functor_of(event: Term) -> Optional[Functor]:
-    """Return the functor of an event; None for a variable."""
-    event = deref(event)
-    if event.__class__ is tuple:
-        functor: Functor = event[0]
-        return functor
-    return event.functor if event.__class__ is Atom else None
 
 
 def functors_of(pattern: Pattern) -> Functors:

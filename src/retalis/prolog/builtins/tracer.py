@@ -9,7 +9,7 @@ from typing import Callable, Dict, Iterator, Optional
 from ..machine.machine import Code, Guard
 from ..syntax.term_writer import write_term
 from ..terms.term_traversal import copy
-from ..terms.types import COLON, COMMA, Atom, Frame, Functor, Term, Values, Var, deref, functor
+from ..terms.types import COLON, COMMA, Frame, Functor, Term, Values, Var, deref, functor, functor_of
 from ..terms.unification import undo, unify
 from .builtin_registry import ProgramMachine, control
 
@@ -78,7 +78,7 @@ class Tracer:
             goal = deref(goal[1])
         if goal.__class__ is tuple and goal[0] is COLON:
             return self.solve(self._logic.database.modules.resolve_qualified_goal(goal), height, continuation)
-        key = _functor_of(goal)
+        key = functor_of(goal)
         if key is None or key in _UNREPORTED_GOALS or key in _CONTROL_CONSTRUCTS:
             return self._untraced_solve(goal, height, continuation)
         return self._call(goal, key, continuation)
@@ -154,14 +154,6 @@ class Tracer:
             call.goal, self._logic.operators, quoted=True, numbervars=True, spacing=True, priority=999
         )
         self._write_line(f"{port:>9}: ({call.depth}) {text}")
-
-
-def _functor_of(goal: Term) -> Optional[Functor]:
-    """Return the functor of a goal, or None for a term that is no goal."""
-    if goal.__class__ is tuple:
-        key: Functor = goal[0]
-        return key
-    return goal.functor if goal.__class__ is Atom else None
 
 
 @control("trace/1")

@@ -378,6 +378,12 @@ SLASH = functor("/", 2)
 COLON = functor(":", 2)
 
 
+def functor_of(term: Any) -> Optional[Functor]:
+    """Return the functor of an atom or compound term; None for other terms."""
+    term = deref(term)
+    return term[0] if term.__class__ is tuple else term.functor if term.__class__ is Atom else None
+
+
 def functor_name(term: Term) -> str:
     """Return the name of an atom or of the functor of a dereferenced compound term; an empty text for other terms.
 
