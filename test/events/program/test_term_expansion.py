@@ -35,11 +35,19 @@ q(L) :- ( true -> findall(X, old(X), L) ; fail ).
     assert program.engine.call("p(1), q([1, 2]), seen")
 
 
-def test_endless_goal_expansion_omits_clause() -> None:
-    program = ProgramRunner("goal_expansion(a, a). p(1). q :- a.")
+@pytest.mark.parametrize("expansion", ["a", "(b, a)", "(a, a)", "\\+ a"])
+def test_endless_goal_expansion_omits_clause(expansion: str) -> None:
+    program = ProgramRunner(f"goal_expansion(a, {expansion}). p(1). q :- a.")
     (warning,) = program.warnings
     assert "goal_expansion/2 does not end" in warning.message
     assert program.engine.call("p(1)")
+
+
+def test_goals_of_long_body_are_expanded() -> None:
+    body = ", ".join(["old"] * 3000)
+    program = ProgramRunner(f"goal_expansion(old, new). new. p :- {body}.")
+    assert program.warnings == []
+    assert program.engine.call("p")
 
 
 def test_error_of_expansion_omits_term() -> None:

@@ -6,7 +6,7 @@ directives, as in SWI-Prolog (manual, "Program transformation"). Both need predi
 before.
 """
 
-from typing import Callable, Dict, List, Optional, Tuple
+from typing import Any, Callable, Dict, List, Optional, Tuple
 
 from ...foundation.errors import RuleError
 from ...foundation.source_places import Place
@@ -103,7 +103,8 @@ _NECK, _SINGLE_SIDED = functor(":-", 2), functor("=>", 2)
 _DIRECTIVES = frozenset((functor(":-", 1), functor("?-", 1)))
 
 _MAX_EXPANSIONS = 1000
-"""Maximum number of expansions of a goal; a goal whose expansion contains itself would be expanded forever."""
+"""Maximum number of expansions of a goal, of a goal in the result and so on. A goal whose expansion contains itself
+would be expanded forever."""
 
 _GOAL_POSITIONS: Dict[Functor, Tuple[int, ...]] = {
     COMMA: (1, 2),
@@ -165,9 +166,34 @@ class TermExpansion:
         return predicate is not None and not predicate.is_library_predicate and len(predicate) > 0
 
     def _expand_goal(self, original: Term) -> Term:
-        """Return a goal with all inner goals expanded, or the identical object if none was."""
-        goal, expansion_count = deref(original), 0
-        # Expanded until there is no further expansion, as in SWI-Prolog; then the goals inside of the result.
+        """Return a goal with all inner goals expanded, or the identical object if none was.
+
+        Raises:
+            RuleError: if an expansion does not end.
+        """
+        # A stack, because the goals of a long body are nested in each other.
+        stack = [self._start_expansion(original, 0)]
+        while True:
+            innermost = stack[-1]
+            if innermost.goal_positions:
+                argument = innermost.arguments[innermost.goal_positions[-1]]
+                stack.append(self._start_expansion(argument, innermost.expansion_count))
+                continue
+            stack.pop()
+            if not stack:
+                return innermost.result()
+            outer = stack[-1]
+            outer.arguments[outer.goal_positions.pop()] = innermost.result()
+
+    def _start_expansion(self, original: Term, expansion_count: int) -> "_ExpandedGoal":
+        """Return a goal that is expanded itself, before its inner goals are.
+
+        Args:
+            original: the goal.
+            expansion_count: number of expansions whose result contains the goal, which is limited.
+        """
+        goal, outer_count = deref(original), expansion_count
+        # Expanded until there is no further expansion, as in SWI-Prolog.
         while goal.__class__ is not Var:
             result = Var()
             if not self._logic.once((_GOAL_EXPANSION, goal, result)):
@@ -178,11 +204,33 @@ class TermExpansion:
                     f"goal_expansion/2 does not end: it goes on expanding {self._logic.brief(goal)}"
                 )
             goal = deref(result)
-        goal_positions = _GOAL_POSITIONS.get(goal[0]) if goal.__class__ is tuple else None
-        if goal_positions is None or goal.__class__ is not tuple:
-            return goal if expansion_count else original
-        arguments = list(goal)
-        for position in goal_positions:
-            arguments[position] = self._expand_goal(arguments[position])
-        changed = any(expanded is not unexpanded for expanded, unexpanded in zip(arguments, goal))
-        return tuple(arguments) if changed else goal if expansion_count else original
+        return _ExpandedGoal(original if expansion_count == outer_count else goal, goal, expansion_count)
+
+
+class _ExpandedGoal:
+    """A goal whose inner goals are being expanded.
+
+    Args:
+        unchanged: the result if no inner goal is changed.
+        goal: the goal, dereferenced.
+        expansion_count: number of expansions that have led to it.
+
+    Attributes:
+        arguments: functor and arguments, in which expanded goals replace inner goals; empty if it has none.
+        goal_positions: positions of the inner goals that are not expanded yet, the first one last.
+    """
+
+    __slots__ = ("_unchanged", "_parts", "expansion_count", "arguments", "goal_positions")
+
+    def __init__(self, unchanged: Term, goal: Term, expansion_count: int):
+        self._unchanged = unchanged
+        positions = _GOAL_POSITIONS.get(goal[0], ()) if isinstance(goal, tuple) else ()
+        self._parts: Tuple[Any, ...] = goal if isinstance(goal, tuple) and positions else ()
+        self.expansion_count = expansion_count
+        self.arguments: List[Any] = list(self._parts)
+        self.goal_positions = list(reversed(positions))
+
+    def result(self) -> Term:
+        """Return the goal with its expanded inner goals."""
+        is_changed = any(new is not old for new, old in zip(self.arguments, self._parts))
+        return tuple(self.arguments) if is_changed else self._unchanged
