@@ -147,7 +147,7 @@ def test_stamp_beyond_times_of_middleware_is_an_error(
 ) -> None:
     monkeypatch.setattr(client, "end_of_time", 1 << 31)
     assert error("query", "true", "--stamp", "2147483648") == (
-        "retalis: --stamp: expected seconds since the epoch, below 2147483648, found 2.14748e+09\n"
+        "retalis: --stamp: expected seconds since the epoch, below 2147483648, found 2147483648\n"
     )
 
 

@@ -5,6 +5,7 @@ from typing import Any, List
 import pytest
 
 from retalis import Engine, Operators, explain, record_origins
+from retalis.explanation import why_not_matched
 from retalis.prolog.syntax.term_reader import read_term
 
 STREAM = (("in(1)", 1), ("in(2)", 2), ("no", 3), ("tick", 4))
@@ -22,6 +23,8 @@ NOT_FIRED = {
     "w(9) <- tick with not_preceded(no, 2).": "with not_preceded 2: ruled out by what must not happen",
     "w(9) <- in(2) seq absent(no, 5).": "absent 5: the time after it is not over ('until' of a "
     "test case sets a later end)",
+    "w(9) <- in(2) seq absent(no, 1234567).": "absent 1234567: the time after it is not over",
+    "w(9) <- (in(_) with debounce(1234567)) seq in(X).": "the 1234567 seconds after the last one are not over",
     "w(9) <- in(2) seq absent(no, 1.5).": "absent 1.5: ruled out by what must not happen",
     "w(9) <- (in(2) where N = 1.5) seq absent(no, N).": "absent N: ruled out by what must not happen",
     "w(9) <- (in(2) where N = x) seq absent(no, N).": "absent N: its time is not a positive number of seconds",
@@ -53,6 +56,36 @@ def explanation_lines(rules: str, events: Any, pattern: str, origin: Any = None)
         engine.event(event, end)
     (line, *_) = explain(engine, pattern, origin=origin).lines
     return [text.strip() for text in line.indented()][1:]
+
+
+def test_goal_of_timed_condition_may_be_long() -> None:
+    numbers = ",".join(map(str, range(100, 3100)))
+    lines = explanation_lines(f"w <- in(_) check (t1(S), memberchk(S, [{numbers}])).", STREAM, "w")
+    assert lines[0].startswith("- check t1(S),memberchk(S,[100,101,")
+    assert lines[0].endswith("]): false at 1; at 2")
+
+
+def test_newest_matches_of_alternatives_are_shown() -> None:
+    events = [(f"a({second})", second) for second in range(11, 15)]
+    events = [(f"b({second})", second) for second in range(1, 4)] + events
+    lines = explanation_lines("w <- (a(X) or b(X)) where X > 100.", events, "w")
+    assert (
+        lines[0]
+        == "- where X > 100: false for 7 times, the last ones X = 12 at 12; X = 13 at 13; X = 14 at 14"
+    )
+
+
+def test_newest_matches_of_pairs_are_shown() -> None:
+    events = [("a(1)", 1), ("a(2)", 2), ("b(3)", 3), ("b(4)", 4)]
+    lines = explanation_lines("w <- (a(X) seq b(Y)) where fail.", events, "w")
+    assert lines[1] == "+ seq: 4 times, the last ones [2,3], [1,4], [2,4]"
+
+
+def test_matches_of_alternatives_are_limited(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(why_not_matched, "MAX_CANDIDATES", 5)
+    events = [*((f"a({second})", second) for second in range(1, 6)), ("b", 9)]
+    lines = explanation_lines("w <- ((a(X) or a(X) or a(X)) seq b) where fail.", events, "w")
+    assert lines[1].startswith("+ seq: 5 times")
 
 
 STEPS = (

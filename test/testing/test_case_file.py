@@ -228,10 +228,18 @@ def test_timeout_is_limited(value: str) -> None:
     assert "timeout: " in parse_error(text)
 
 
-@pytest.mark.parametrize("time", ["9" * 400, "1e300", "-" + "9" * 400, "1" + "0" * 12])
-def test_times_are_limited(time: str) -> None:
+@pytest.mark.parametrize(
+    ("time", "expected"),
+    [
+        ("9" * 400, "at most 1000000000"),
+        ("1e300", "at most 1000000000"),
+        ("-" + "9" * 400, "at least 0"),
+        ("1" + "0" * 12, "at most 1000000000"),
+    ],
+)
+def test_times_are_limited(time: str, expected: str) -> None:
     error = parse_error(fever_file("outputs: none", inputs=f"[{{at: {time}, event: a}}]"))
-    assert "is too large: expected at most 1e+09" in error or "is too small: expected at least 0" in error
+    assert f": expected {expected}" in error
 
 
 def test_cases_cannot_share_golden_file() -> None:
@@ -267,7 +275,7 @@ def test_file_with_byte_order_mark_is_listed(tmp_path: Path) -> None:
     ("keys", "problem"),
     [
         ("input: [{event: b, interval: [-5, -3]}]", "interval: the end is before the start of the case"),
-        ("start: 1e200", "start: 1e200 is too large: expected at most 3.29497e+09"),
+        ("start: 1e200", "start: 1e200 is too large: expected at most 3294967296"),
         ("start: -1", "start: -1 is too small: expected at least 0"),
     ],
 )

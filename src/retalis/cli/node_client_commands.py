@@ -12,7 +12,7 @@ from queue import Queue
 from time import monotonic, sleep
 from typing import IO, Any, Callable, Dict, Iterator, List, Optional, Tuple
 
-from ..foundation.displayed_text import printable
+from ..foundation.displayed_text import format_number, printable
 from ..foundation.errors import RetalisError, UsageError
 from ..foundation.interrupts import exit_by_exception
 from ..foundation.output_files import print_json
@@ -89,7 +89,9 @@ def _query(connection: ClientConnection, options: argparse.Namespace) -> int:
 
 def _to_nanoseconds(seconds: float, end_of_time: int) -> int:
     if not 0 <= seconds < end_of_time:
-        raise UsageError(f"--stamp: expected seconds since the epoch, below {end_of_time}, found {seconds:g}")
+        raise UsageError(
+            f"--stamp: expected seconds since the epoch, below {end_of_time}, found {format_number(seconds)}"
+        )
     return timestamps.from_seconds(seconds)
 
 
@@ -150,7 +152,8 @@ def _list(connection: ClientConnection, options: argparse.Namespace) -> int:
 def _status(connection: ClientConnection, options: argparse.Namespace) -> int:
     if not 0 < options.every <= _MAX_STATUS_INTERVAL_SECONDS:
         raise UsageError(
-            f"--every: expected a number above 0, up to {_MAX_STATUS_INTERVAL_SECONDS}, found {options.every:g}"
+            f"--every: expected a number above 0, up to {_MAX_STATUS_INTERVAL_SECONDS}, "
+            f"found {format_number(options.every)}"
         )
     node = NodeClient(connection, options.node, include_interfaces=True)
     # Without a terminal, repeated reports of text would only be separated by control sequences.

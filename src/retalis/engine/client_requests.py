@@ -13,6 +13,7 @@ from time import monotonic
 from typing import Any, Callable, Dict, Iterable, List, NamedTuple, Optional, Sequence, TypeVar
 
 from ..events.language.rule_labels import RULE, is_rule, split_label
+from ..foundation.displayed_text import format_number
 from ..foundation.errors import UsageError
 from ..prolog.machine.resource_limits import NO_LIMITS, Limits
 from ..prolog.syntax.term_reader import ReadTerm, read_term
@@ -201,7 +202,9 @@ def wait_for_memories(engine: Engine, memory_ids: Sequence[Term], instant: int, 
                 if not missing:
                     # The last data arrived after the end of the waiting time.
                     return
-                raise UsageError(f"no record at the stamp or later in memory {missing} after {seconds:g} s")
+                raise UsageError(
+                    f"no record at the stamp or later in memory {missing} after {format_number(seconds)} s"
+                )
     finally:
         # Also after an interrupt: otherwise requests would accumulate in the index of the memory.
         engine.do(lambda: knowledge.pending_queries.withdraw(request_number))
@@ -213,7 +216,11 @@ def _describe_missing(engine: Engine, memory_ids: Sequence[Term], instant: int) 
     descriptions = []
     for instance, required_time in missing_memories:
         latest = instance.latest_end
-        delay = "nothing yet" if latest is None else f"{(required_time - latest) / 1e9:g} s too early"
+        delay = (
+            "nothing yet"
+            if latest is None
+            else f"{format_number((required_time - latest) / 1e9)} s too early"
+        )
         descriptions.append(f"{engine.brief(instance.id)} ({delay})")
     return ", ".join(descriptions)
 

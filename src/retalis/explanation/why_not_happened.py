@@ -9,6 +9,7 @@ from ..events.language.pattern_tree import AggregatePattern, RatePattern, Window
 from ..events.matches.match_policies import AfterMatchSkipStrategy
 from ..events.network.event_rule import EventRule
 from ..events.network.lineage_graph import Occurrence
+from ..foundation.displayed_text import format_number
 from ..foundation.similar_names import did_you_mean
 from ..prolog.terms import timestamps
 from ..prolog.terms.term_traversal import copy
@@ -248,7 +249,8 @@ def _explain_no_firing(rule: EventRule, part: PartResult, interval: Optional[Req
     if interval is not None and not has_window and not has_interval:
         return "no match has that interval"
     if rule.window is not None and all(match.end - match.start > rule.window for match in part.matches):
-        return f"all matches exceed the window of the rule's label, {timestamps.to_seconds(rule.window):g} seconds"
+        seconds = format_number(timestamps.to_seconds(rule.window))
+        return f"all matches exceed the window of the rule's label, {seconds} seconds"
     return _describe_likely_reasons(rule)
 
 

@@ -4,13 +4,15 @@ Each part of a pattern is evaluated over all recorded events as if no event were
 parts with one of three states: the part matched, it did not match, or it was not tested because a part below it did
 not match. The lowest parts that did not match are the missing ones.
 
-A part keeps its newest `MAX_CANDIDATES` matches, because the number of combinations would grow exponentially with the
-depth of the pattern. Windows and other stream operators are evaluated by new operators over these matches. A result
-that the rule's own window computed from older matches can differ; the text of the part says so.
+A part keeps its newest `MAX_CANDIDATES` matches, by their ends, because the number of combinations would grow
+exponentially with the depth of the pattern. Windows and other stream operators are evaluated by new operators over
+these matches. A result that the rule's own window computed from older matches can differ; the text of the part says
+so.
 """
 
 from contextlib import closing
 from functools import lru_cache
+from operator import attrgetter
 from typing import (
     Any,
     Callable,
@@ -48,7 +50,6 @@ from ..events.language.stream_parser import (
     NOT_PRECEDED,
     positive_nanoseconds,
     rate_operator_term,
-    timeout_term,
     window_term,
 )
 from ..events.matches.match_policies import NetworkOptions
@@ -62,6 +63,7 @@ from ..events.streams.rate_operators import RATE_OPERATORS
 from ..events.streams.row_pattern import RowPatternWindow
 from ..events.streams.stream_operators import StreamElement, StreamOutput
 from ..foundation import codegen
+from ..foundation.displayed_text import format_number
 from ..foundation.errors import RetalisError, RuleError
 from ..foundation.limit_checks import check_limits
 from ..prolog.system.prolog_system import PrologSystem
@@ -82,7 +84,6 @@ MAX_SHOWN_VALUE_CHARACTERS = 60
 
 _VALUES_FUNCTOR = functor("values", 0)
 """Functor of the terms that combine any number of values or variables; its arity is not used."""
-_EQUAL_FUNCTOR = functor("=", 2)
 _OR_NAME, *_ = names_of_kind(OperatorKind.ALTERNATIVES)
 _STAR_NAME, *_ = names_of_kind(OperatorKind.RUN)
 _WITHIN_NAME, *_ = names_of_kind(OperatorKind.LIMIT)
@@ -95,7 +96,6 @@ _ACTION_NAMES = [
 ]
 _RATE_NAME, *_ = names_of_kind(OperatorKind.RATE)
 _TIMEOUT_NAME, *_ = names_of_kind(OperatorKind.TIMEOUT)
-_T1_FUNCTOR, _T2_FUNCTOR = functor("t1", 1), functor("t2", 1)
 
 
 class Candidate(NamedTuple):
@@ -233,6 +233,7 @@ class WhyNotMatched:
                 interval = join_intervals(first.start, first.end, second.start, second.end)
                 if interval is not None:
                     matches.append(Candidate(values, *interval, None, (first.end, second.start)))
+        matches = _sort_by_end(matches)
         reason = "one side is missing"
         if left.matches and right.matches:
             reason = (
@@ -252,8 +253,9 @@ class WhyNotMatched:
 
     def _evaluate_or(self, pattern: OrPattern) -> PartResult:
         parts = [self.evaluate(branch) for branch in pattern.branches]
-        matches = [match for part in parts for match in part.matches]
-        return PartResult(f"{_OR_NAME}: {self._format_result(matches, 'no branch matched')}", matches, parts)
+        matches = _sort_by_end([match for part in parts for match in part.matches])
+        text = f"{_OR_NAME}: {self._format_result(matches, 'no branch matched')}"
+        return PartResult(text, matches[-MAX_CANDIDATES:], parts)
 
     def _evaluate_negation(self, pattern: NotPattern) -> PartResult:
         part, negated = self.evaluate(pattern.pattern), self.evaluate(pattern.negated)
@@ -287,12 +289,9 @@ class WhyNotMatched:
             Candidate(values, match.start, last.end)
             for match, last, values in self._find_ordered_pairs(first_part, repeated_part)
         ]
-        matches = first_part.matches + extended[-MAX_CANDIDATES:]
-        return PartResult(
-            f"{_STAR_NAME}: {self._format_result(matches, 'it did not start')}",
-            matches,
-            [first_part, repeated_part],
-        )
+        matches = _sort_by_end(first_part.matches + extended)
+        text = f"{_STAR_NAME}: {self._format_result(matches, 'it did not start')}"
+        return PartResult(text, matches[-MAX_CANDIDATES:], [first_part, repeated_part])
 
     def _evaluate_aggregate(self, pattern: AggregatePattern) -> PartResult:
         first_part, collected_part = self.evaluate(pattern.first), self.evaluate(pattern.collected)
@@ -332,7 +331,7 @@ class WhyNotMatched:
                     add_result(match, last.end, result)
         reason = self._format_other_results(results) or "nothing was collected"
         reason = f"{reason}{problem}" if first_part.matches else "it did not begin"
-        matches = matches[-MAX_CANDIDATES:]
+        matches = _sort_by_end(matches)[-MAX_CANDIDATES:]
         text = f"{pattern.kind}: {self._format_result(matches, reason, pattern.result)}"
         return PartResult(text, matches, [first_part, collected_part])
 
@@ -352,9 +351,8 @@ class WhyNotMatched:
         matches = []
         problems: Dict[str, None] = {}
         for match in part.matches:
-            goal = _substitute_times(pattern.goal, match) if pattern.timed else pattern.goal
             try:
-                values = self._solve(goal, match)
+                values = self._solve(pattern, match)
             except RetalisError as error:
                 # As in the rule, an error rejects this match only; it is shown if no other match is accepted.
                 problems.setdefault(error.message)
@@ -378,7 +376,7 @@ class WhyNotMatched:
         seconds = timestamps.to_seconds(pattern.span + 1)
         reason = "all took longer" if part.matches else "not tested"
         return PartResult(
-            f"{_WITHIN_NAME} {seconds:g}: {self._format_result(matches, reason)}",
+            f"{_WITHIN_NAME} {format_number(seconds)}: {self._format_result(matches, reason)}",
             matches,
             [part],
             None,
@@ -480,7 +478,9 @@ class WhyNotMatched:
         # Operators with deadlines emit when the watermark reaches them, even without a further event.
         outputs += operator.advance_to(self._current_time if node is None else node.watermark_time())
         matches = [output.elements[-1].match._replace(end=output.end, event=None) for output in outputs]
-        reason = RATE_OPERATORS[pattern.operator].block_reason.format(timestamps.to_seconds(pattern.span))
+        reason = RATE_OPERATORS[pattern.operator].block_reason.format(
+            format_number(timestamps.to_seconds(pattern.span))
+        )
         reason = reason if part.matches else "not tested"
         text = (
             f"{_RATE_NAME} {self._show(rate_operator_term(pattern))}: {self._format_result(matches, reason)}"
@@ -510,15 +510,20 @@ class WhyNotMatched:
             reason = "ruled out by what must not happen"
         elif is_waiting:
             delay = timestamps.to_seconds(self._current_time - watermark_time)
-            reason = f"the time after it is over, and the alarm waits {delay:g} s for late events"
+            reason = (
+                f"the time after it is over, and the alarm waits {format_number(delay)} s for late events"
+            )
         else:
             reason = (
                 "the time after it is not over ('until' of a test case sets a later end)"
                 if part.matches
                 else "not tested"
             )
-        time = timeout_term(pattern)
-        seconds = self._show(time) if isinstance(pattern.span, Var) else f"{time:g}"
+        seconds = (
+            self._show(pattern.span)
+            if isinstance(pattern.span, Var)
+            else format_number(timestamps.to_seconds(pattern.span))
+        )
         text = f"{_TIMEOUT_NAME} {seconds}: {self._format_result(matches, reason)}"
         return PartResult(text, matches, [part, _create_negated_part(negated)], None, bool(part.matches))
 
@@ -534,7 +539,7 @@ class WhyNotMatched:
             )
         ]
         reason = "ruled out by what must not happen" if part.matches else "not tested"
-        name = f"{NOT_PRECEDED.name} {timestamps.to_seconds(pattern.span):g}"
+        name = f"{NOT_PRECEDED.name} {format_number(timestamps.to_seconds(pattern.span))}"
         text = f"{_RATE_NAME} {name}: {self._format_result(matches, reason)}"
         return PartResult(text, matches, [part, _create_negated_part(negated)], None, bool(part.matches))
 
@@ -588,12 +593,15 @@ class WhyNotMatched:
         finally:
             undo(trail, 0)
 
-    def _solve(self, goal: Term, match: Candidate) -> Optional[Term]:
-        """Return the values extended by those of the first solution of a goal, or None."""
+    def _solve(self, condition: ConditionPattern, match: Candidate) -> Optional[Term]:
+        """Return the values extended by those of the first solution of a condition, or None."""
+        interval = (match.start, match.end) if condition.timed else None
         trail: Trail = []
         try:
             if unify(self._rule_variables, copy(match.values), trail):
-                with closing(self._logic.solutions(goal)) as solutions:
+                with self._rule.network.condition_state.interval(interval), closing(
+                    self._logic.solutions(condition.goal)
+                ) as solutions:
                     for _ in solutions:
                         return copy(self._rule_variables)
             return None
@@ -637,6 +645,11 @@ class WhyNotMatched:
 
     def _show(self, term: Term) -> str:
         return show_term(term, self._logic.operators, self._names, self._field_named_variables)
+
+
+def _sort_by_end(matches: List[Candidate]) -> List[Candidate]:
+    """Return matches from the oldest to the newest, as a rule would have emitted them."""
+    return sorted(matches, key=attrgetter("end"))
 
 
 def _create_negated_part(negated: PartResult) -> PartResult:
@@ -725,14 +738,3 @@ def _compile_interval_join(
         lines, {}, f"pairs of {operator.name}"
     )
     return join_intervals
-
-
-def _substitute_times(goal: Term, match: Candidate) -> Term:
-    """Return a goal with ``t1(S)`` and ``t2(E)`` replaced by the times of a match."""
-    if goal.__class__ is not tuple:
-        return goal
-    if goal[0] is _T1_FUNCTOR:
-        return (_EQUAL_FUNCTOR, goal[1], timestamps.to_term(match.start))
-    if goal[0] is _T2_FUNCTOR:
-        return (_EQUAL_FUNCTOR, goal[1], timestamps.to_term(match.end))
-    return (goal[0], *[_substitute_times(argument, match) for argument in goal[1:]])

@@ -78,6 +78,12 @@ def format_duration(seconds: float) -> str:
     return sign + " ".join(parts)
 
 
+def format_number(number: float) -> str:
+    """Return a number, such as a time in seconds, as it is written in programs: ``1234567``, ``0.1``, ``2``."""
+    # `g` alone rounds to six digits.
+    return f"{number:.15g}"
+
+
 def describe_decode_error(error: UnicodeDecodeError) -> str:
     """Return an error text for bytes that are not text in an encoding, with line and byte."""
     line = error.object.count(b"\n", 0, error.start) + 1

@@ -29,6 +29,7 @@ from typing import (
     Union,
 )
 
+from ..foundation.displayed_text import format_number
 from ..foundation.errors import UsageError
 from ..foundation.output_files import replace_file, target_name_of
 from ..prolog.terms.timestamps import SECOND
@@ -132,7 +133,8 @@ class MergedBag:
         if start and self.start > last:
             seconds = (last - first) / SECOND
             raise UsageError(
-                f"there is nothing {start:g} s after the first message: the last is at {seconds:g} s"
+                f"there is nothing {format_number(start)} s after the first message: "
+                f"the last is at {format_number(seconds)} s"
             )
 
     def records(

@@ -7,6 +7,7 @@ from enum import Enum
 from pathlib import Path
 from typing import Any, Mapping, NamedTuple, Optional, Tuple
 
+from ..foundation.displayed_text import format_number
 from ..foundation.source_places import Place
 from ..prolog.terms.timestamps import SECOND
 from .yaml_documents import YamlValue
@@ -248,7 +249,7 @@ class ExpectedAnswer(NamedTuple):
     @property
     def title(self) -> str:
         """The query with its time, for failures."""
-        instant = "the end" if self.time is None else f"{self.time / SECOND:g} s"
+        instant = "the end" if self.time is None else f"{format_number(self.time / SECOND)} s"
         return f"query {self.query.text} at {instant}"
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, Dict, Iterable, Iterator, List, Mapping, NamedTuple, Optional, Set, Tuple
 
 from ..events.program.topic_configuration import GOALS, TOPICS
-from ..foundation.displayed_text import quote_shortened
+from ..foundation.displayed_text import format_number, quote_shortened
 from ..foundation.errors import UsageError
 from ..foundation.ros_name_checks import topic_fault
 from ..foundation.similar_names import did_you_mean
@@ -481,8 +481,8 @@ class _CaseReader:
         latest = max(times, default=0)
         if end is not None and latest > end:
             raise self._values["until"].error(
-                f"until: {end / timestamps.SECOND:g} s is before the last input or query, "
-                f"at {latest / timestamps.SECOND:g} s"
+                f"until: {format_number(end / timestamps.SECOND)} s is before the last input or query, "
+                f"at {format_number(latest / timestamps.SECOND)} s"
             )
 
     def _read_expectations(self) -> Expectations:

@@ -7,7 +7,7 @@ it on request, so that each error names the place of the value that is wrong. A 
 
 from typing import Any, Dict, List, Mapping, NamedTuple, Optional, Union
 
-from ..foundation.displayed_text import format_count, quote_shortened
+from ..foundation.displayed_text import format_count, format_number, quote_shortened
 from ..foundation.errors import RetalisError, UsageError, install_hint
 from ..foundation.similar_names import did_you_mean
 from ..foundation.source_places import Place, place_in_line
@@ -185,9 +185,9 @@ class YamlValue:
             raise self._unexpected("a number")
         text = quote_shortened(str(self._node.value)).strip("'")
         if value < minimum:
-            raise self.error(f"{self.name}: {text} is too small: expected at least {minimum:g}")
+            raise self.error(f"{self.name}: {text} is too small: expected at least {format_number(minimum)}")
         if value > maximum:
-            raise self.error(f"{self.name}: {text} is too large: expected at most {maximum:g}")
+            raise self.error(f"{self.name}: {text} is too large: expected at most {format_number(maximum)}")
         return value
 
     def integer(self, minimum: int = 0) -> int:

@@ -8,7 +8,7 @@ and evaluates the comparisons of each operator for a small set of intervals that
 from itertools import combinations_with_replacement
 from typing import Any, Dict, Iterator, List, NamedTuple, Optional, Sequence, Set, Tuple
 
-from ...foundation.displayed_text import format_duration
+from ...foundation.displayed_text import format_duration, format_number
 from ...foundation.errors import RuleError
 from ...foundation.ros_name_checks import strip_slashes
 from ...prolog.terms.term_traversal import term_key, variables
@@ -304,7 +304,7 @@ def _find_milliseconds_in(source: Subterm, fastest: Optional[_RecordedPeriod]) -
         if rate or _may_be_milliseconds(span):
             yield RuleError(
                 f"{span} is {_format_minutes(span)}, because {_UNIT_HINT}{rate}: for milliseconds write "
-                f"{span / 1000:g}",
+                f"{format_number(span / 1000)}",
                 subterm.place_of(subterm.term, _SPANS[subterm.term[0].name].position),
             )
 
@@ -390,7 +390,7 @@ def find_throttles_without_key(program: ProgramModel) -> Iterator[RuleError]:
                 key_variable = _key_variable(program, rule, node.pattern, head_vars)
                 if key_variable is not None:
                     name = program.names_in(rule).get(key_variable, "Key")
-                    notation = f"{node.operator}({node.span / 10**9:g}"
+                    notation = f"{node.operator}({format_number(node.span / 10**9)}"
                     yield RuleError(
                         f"{notation}) has one state for all values of {name}, so that an event of one suppresses "
                         f"those of others; unless this is intended, write {notation}, {name})",

@@ -21,6 +21,7 @@ from itertools import islice
 from math import acos, sin, sqrt
 from typing import Any, Dict, Iterator, List, NamedTuple, Optional, Tuple, Union
 
+from ...foundation.displayed_text import format_number
 from ...prolog.builtins.pose_predicates import Pose, compose
 from ...prolog.terms.timestamps import SECOND
 from .memory import QueryQueue
@@ -332,7 +333,7 @@ class TransformBuffer:
             if not is_newest:
                 if instant < stamps[-1] - self.cache:
                     self.refused += 1
-                    return f"it is older than the history of {self.cache / SECOND:g} s"
+                    return f"it is older than the history of {format_number(self.cache / SECOND)} s"
                 if frame.has_sample_at(instant):
                     return REPEATED
             if self.sample_count >= MAX_SAMPLES and not self._make_room(frame, instant):

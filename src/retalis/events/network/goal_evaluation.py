@@ -17,7 +17,8 @@ aggregates and windows.
 `TimedNode` is the protocol of nodes with alarms, which rules and subscriptions have.
 """
 
-from typing import TYPE_CHECKING, Any, Callable, Dict, List, Optional, Protocol, Sequence, Tuple
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any, Callable, Dict, Iterator, List, Optional, Protocol, Sequence, Tuple
 
 from ...foundation.errors import RetalisError, RuleError
 from ...prolog.database.compiled_goal import CompiledGoal
@@ -93,6 +94,16 @@ class ConditionState:
 
     condition_depth: int = 0
     condition_interval: Optional[Tuple[int, int]] = None
+
+    @contextmanager
+    def interval(self, interval: Optional[Tuple[int, int]]) -> Iterator[None]:
+        """Set `condition_interval` in a block; None leaves that of an outer condition."""
+        outer_interval = self.condition_interval
+        self.condition_interval = interval or outer_interval
+        try:
+            yield
+        finally:
+            self.condition_interval = outer_interval
 
 
 Test = Callable[[Values, int, int], Optional[Values]]
