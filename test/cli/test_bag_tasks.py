@@ -17,7 +17,7 @@ from retalis.cli.bag_command import add_parser, play_bag
 from retalis.cli.bag_tasks import BagOutcome, BagTask
 from retalis.cli.many_bags_options import single_bag_options
 from retalis.cli.result_partitions import ResultTarget
-from retalis.cli.stderr_and_progress import MAX_BAG_TEXT_CHARACTERS
+from retalis.cli.stderr_reports import MAX_BAG_TEXT_CHARACTERS
 from retalis.foundation.garbage_collection import stop_limiting_gc_pauses
 from retalis.playback.bag_locations import open_bag
 

@@ -20,7 +20,7 @@ from subprocess_python_path import python_path
 from retalis import Limits, Operators, Settings
 from retalis.cli.command_line import main
 from retalis.cli.console import Console
-from retalis.cli.stderr_and_progress import StderrReporter
+from retalis.cli.stderr_reports import StderrReporter
 from retalis.cli.toplevel_io import PipedInput, TerminalInput, find_completions, format_bindings
 from retalis.prolog.syntax.term_reader import read_term
 

@@ -11,7 +11,7 @@ import pytest
 from retalis.cli import console
 from retalis.cli.command_line import main
 from retalis.cli.console import CONSOLE_HELP, DEFAULT_SHOWN_SOLUTIONS, Console, apropos_lines, help_lines
-from retalis.cli.stderr_and_progress import StderrReporter
+from retalis.cli.stderr_reports import StderrReporter
 from retalis.cli.toplevel_io import PipedInput
 
 

@@ -10,7 +10,7 @@ import pytest
 from retalis import BagWriter, Definitions, Limits, Settings
 from retalis.cli.command_line import main
 from retalis.cli.console import Console
-from retalis.cli.stderr_and_progress import StderrReporter
+from retalis.cli.stderr_reports import StderrReporter
 from retalis.cli.toplevel_io import PipedInput
 
 RULES = "loop :- loop.\nloop(X) <- in(X) where (X = 2, loop).\nout(X) <- in(X).\n"

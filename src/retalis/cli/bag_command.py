@@ -107,16 +107,10 @@ from .option_values import (
     parse_delay,
 )
 from .optional_ros_imports import installed_definitions
+from .progress_bar import ProgressBar, show_long_progress, show_progress
 from .result_manifest import find_whole_results, record_result, remove_result
 from .result_partitions import utc_day
-from .stderr_and_progress import (
-    LimitedText,
-    ProgressBar,
-    StderrReporter,
-    detach_reporters,
-    show_long_progress,
-    show_progress,
-)
+from .stderr_reports import LimitedText, StderrReporter, detach_reporters
 
 if TYPE_CHECKING:
     from ..testing.rule_coverage import CoveredPart

@@ -28,7 +28,7 @@ from .command_options import (
 )
 from .option_values import non_negative
 from .optional_ros_imports import installed_definitions
-from .stderr_and_progress import paint, warnings_on_stderr
+from .stderr_reports import paint, warnings_on_stderr
 
 _DEFAULT_MAX_SECONDS = 60
 _MARKED_LETTER = re.compile(r"`[^`]*`|\*\*([A-Z])\*\*")

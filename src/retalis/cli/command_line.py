@@ -20,7 +20,7 @@ from ..foundation.output_files import GuardedOutput, OutputFailed
 from ..foundation.similar_names import did_you_mean
 from .option_values import join_times_option
 from .short_help_parser import ShortHelpParser
-from .stderr_and_progress import detach_reporters
+from .stderr_reports import detach_reporters
 
 AddParser = Callable[[Callable[..., argparse.ArgumentParser]], object]
 """Adds the parser of a command with the given function, which is the method ``add_parser`` of argparse."""

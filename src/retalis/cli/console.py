@@ -34,7 +34,7 @@ from .command_options import add_answers, add_limits, apply_limits, connect_answ
 from .help_search import all_entries, search
 from .option_values import non_negative
 from .optional_ros_imports import installed_definitions
-from .stderr_and_progress import StderrReporter
+from .stderr_reports import StderrReporter
 from .toplevel_io import (
     QUIT_GOALS,
     PipedInput,

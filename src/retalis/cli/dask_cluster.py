@@ -38,7 +38,7 @@ from ..playback.decompression import describe_error
 from ..playback.worker_pools import MAX_WORKER_DEATHS, Function, Result, Task, TaskResults, Unfinished
 from .command_line import version
 from .option_values import positive_seconds
-from .stderr_and_progress import ProgressBar
+from .progress_bar import ProgressBar
 
 WORKER_TIMEOUT_SECONDS = 300.0
 """Default of ``--worker-timeout``."""

@@ -15,7 +15,8 @@ from typing import Any, Callable, Dict, Iterator, Optional, Tuple
 from ..foundation.errors import UsageError
 from ..foundation.output_files import print_json
 from .option_values import any_integer, positive_seconds
-from .stderr_and_progress import StderrReporter, show_progress
+from .progress_bar import show_progress
+from .stderr_reports import StderrReporter
 
 SOURCE_EXAMPLE = Path("examples", "nao")
 """Folder of the NAO example in the source tree."""

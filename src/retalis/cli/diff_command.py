@@ -44,7 +44,8 @@ from .dask_cluster import (
 from .git_revisions import Revision, extract_revision
 from .option_values import non_negative, positive_integer
 from .optional_ros_imports import installed_definitions
-from .stderr_and_progress import paint, show_long_progress
+from .progress_bar import show_long_progress
+from .stderr_reports import paint
 
 DESCRIPTION = """\
 Run two versions of a program over bags, and print each output that is lost, gained, moved to another time, or

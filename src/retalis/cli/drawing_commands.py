@@ -35,7 +35,8 @@ from ..visualization.timeline import (
 from .bag_command import add_source, create_playback, elapsed_fraction, exit_status_of, open_bags
 from .command_options import add_end_of_input, add_folders, add_limits, apply_limits
 from .optional_ros_imports import installed_definitions
-from .stderr_and_progress import StderrReporter, show_progress
+from .progress_bar import show_progress
+from .stderr_reports import StderrReporter
 
 if TYPE_CHECKING:
     from ..playback.incomplete_files import IncompleteFile

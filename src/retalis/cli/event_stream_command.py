@@ -49,7 +49,7 @@ from .command_options import (
 from .event_and_solution_printer import JSON_HELP, Printer, TimeOrigin, redirect_goal_output
 from .option_values import RELATIVE_TIMES_OPTION, TIMES_RELATIVE
 from .optional_ros_imports import installed_definitions
-from .stderr_and_progress import StderrReporter
+from .stderr_reports import StderrReporter
 
 
 class EventLine(NamedTuple):

@@ -12,7 +12,7 @@ from ..foundation.displayed_text import describe_decode_error, format_count, pri
 from ..foundation.errors import ProgramErrors, RetalisError, UsageError
 from ..foundation.output_files import replace_file
 from .option_values import positive_integer
-from .stderr_and_progress import paint
+from .stderr_reports import paint
 
 STANDARD_INPUT = Path("-")
 PROGRAM_FILES = (RULES, GOALS)

@@ -16,7 +16,7 @@ from ..playback.bag_locations import open_bag
 from .command_options import add_chunk_limit_option
 from .node_status_tables import format_table
 from .optional_ros_imports import installed_definitions
-from .stderr_and_progress import warnings_on_stderr
+from .stderr_reports import warnings_on_stderr
 
 FORMATS: Dict[str, Callable[[Definition, Definitions], str]] = {
     "term": lambda definition, definitions: format_positional(definition),

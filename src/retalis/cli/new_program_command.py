@@ -14,7 +14,7 @@ from ..playback.bag_locations import open_bag
 from .command_options import add_message_folders, message_folders
 from .optional_ros_imports import installed_definitions
 from .program_template import make_files, name_topics
-from .stderr_and_progress import warnings_on_stderr
+from .stderr_reports import warnings_on_stderr
 
 DESCRIPTION = """\
 Create a folder with a program: its three files, with a rule for each topic that fires at once, a test that passes,

@@ -30,7 +30,7 @@ from ..testing.rule_coverage import (
 from .command_options import add_message_folders, message_folders
 from .option_values import any_integer, percentage, positive_integer, positive_seconds
 from .optional_ros_imports import installed_definitions
-from .stderr_and_progress import paint
+from .stderr_reports import paint
 
 DESCRIPTION = """\
 Run the test cases of programs, without ROS, or on a running node with --node. A test file is tests/*.yaml or
