@@ -9,8 +9,8 @@ from retalis.messages.message_dictionaries import make_message_term, read_messag
 from retalis.messages.type_definition import SerializationFormat
 from retalis.node.host_context import HostContext
 from retalis.node.parameters import read_parameters
-from retalis.node.plain_text_exchange import PlainTextExchange
 from retalis.node.program_host import ProgramHost
+from retalis.node.text_exchange import PlainTextExchange
 
 DEFINITIONS = Definitions()
 STRING = DEFINITIONS.find("std_msgs/String")

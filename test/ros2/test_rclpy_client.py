@@ -22,9 +22,8 @@ from retalis.cli.completion import list_names
 from retalis.cli.node_client import NodeClient
 from retalis.node.host_context import HostContext
 from retalis.node.parameters import read_parameters
-from retalis.node.plain_text_exchange import PlainTextExchange
 from retalis.node.program_host import ProgramHost
-from retalis.node.text_exchange import INPUT, OUTPUT
+from retalis.node.text_exchange import INPUT, OUTPUT, PlainTextExchange
 from retalis.ros2 import rclpy_client
 from retalis.ros2.rclpy_client import RclpyClient
 

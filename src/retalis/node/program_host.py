@@ -329,7 +329,9 @@ class ProgramHost:
     def _offer_services(self, offers_interface: bool) -> None:
         transport, engine, parameters = self._transport, self.engine, self._parameters
         if offers_interface:
-            InterfaceServices(transport, self._subscribed)
+            InterfaceServices(
+                transport, self._context.definitions, self._subscribed.subscribe, self._subscribed.unsubscribe
+            )
         types = {
             transport.resolve_topic(topic): message_type for topic, message_type in self._topics.published
         }

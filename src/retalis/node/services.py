@@ -15,7 +15,7 @@ import logging
 import os
 from pathlib import Path
 from threading import BoundedSemaphore
-from typing import Any, Callable, Dict, Iterator, List, NamedTuple, Optional, Protocol, Sequence, Tuple
+from typing import Any, Callable, Dict, Iterator, List, NamedTuple, Optional, Sequence, Tuple
 
 from ..engine.client_requests import add_rule, ask, delete_rule, run_restricted, wait_for_memories
 from ..engine.engine import Engine
@@ -271,38 +271,28 @@ class EngineServices:
         return size
 
 
-class TopicSubscriber(Protocol):
-    """Subscriber of input topics: this node, or another one on its behalf."""
-
-    def knows_type(self, message_type: str) -> bool:
-        """Return whether a message type is known."""
-
-    def subscribe(self, topic: str, message_type: str) -> None:
-        """Subscribe to a topic.
-
-        Raises:
-            UsageError: if the topic is subscribed already, or a name is invalid.
-        """
-
-    def unsubscribe(self, topic: str) -> object:
-        """Unsubscribe from a topic.
-
-        Raises:
-            UsageError: if it is not subscribed.
-        """
-
-
 class InterfaceServices:
     """The services for input topics.
 
     Args:
         transport: the middleware.
-        topics: subscribes to the topics.
+        definitions: known message types.
+        subscribe: subscribes to a topic with a message type; raises a `UsageError` for an invalid name, or if the
+            topic is subscribed already.
+        unsubscribe: unsubscribes from a topic; raises a `UsageError` if it is not subscribed.
     """
 
-    def __init__(self, transport: Transport, topics: TopicSubscriber):
+    def __init__(
+        self,
+        transport: Transport,
+        definitions: Definitions,
+        subscribe: Callable[[str, str], object],
+        unsubscribe: Callable[[str], object],
+    ):
         self._transport = transport
-        self._topics = topics
+        self._definitions = definitions
+        self._subscribe = subscribe
+        self._unsubscribe = unsubscribe
         offer_service(transport, "add_input_subscription", "AddInputSubscription", self._add)
         offer_service(transport, "delete_input_subscription", "DeleteInputSubscription", self._delete)
 
@@ -312,7 +302,7 @@ class InterfaceServices:
         def execute() -> None:
             # Rejects invalid names before any lookup.
             topic_type(topic, message_type)
-            is_known = self._topics.knows_type(message_type)
+            is_known = message_type in self._definitions
             suggestion = (
                 "" if is_known else Definitions(self._transport.installed_types()).misspelt(message_type)
             )
@@ -322,7 +312,7 @@ class InterfaceServices:
                     f"message_type: there is no type '{quote_text(message_type)}' here; did you mean {suggestion}? "
                     "If a publisher is to bring the type, start the publisher first"
                 )
-            self._topics.subscribe(topic, message_type)
+            self._subscribe(topic, message_type)
             if not is_known:
                 log.warning(
                     "topic %s is subscribed as %s, which is not known here: it is learned from a publisher",
@@ -334,7 +324,7 @@ class InterfaceServices:
 
     def _delete(self, request: Any) -> Response:
         def execute() -> None:
-            self._topics.unsubscribe(request.topic.strip())
+            self._unsubscribe(request.topic.strip())
 
         return execute_request(execute)
 

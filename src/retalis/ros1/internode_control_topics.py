@@ -32,11 +32,10 @@ from ..events.program.topic_configuration import (
 )
 from ..foundation.displayed_text import printable, shorten
 from ..foundation.errors import MessageError, RetalisError, UsageError
-from ..messages.type_registry import Definitions
 from ..node.subscribed_topics import SubscribedTopics
 from ..node.text_exchange import resolve_subscribable_topic
 from ..prolog.terms.types import Functor
-from .topic_names import resolve
+from .rospy_transport import resolve
 
 MAX_CONTROL_CHARACTERS = 1_000_000
 """Limit for the characters of control data."""
@@ -279,15 +278,11 @@ class InputTopicChanges:
     Args:
         direct: value of ``~direct`` of the interface node.
         topics: further topics to which node ``retalis`` subscribes.
-        definitions: known message types.
         reports: receives a warning for each malformed list of topics of goals.
     """
 
-    def __init__(
-        self, direct: DirectTopics, topics: Iterable[TopicType], definitions: Definitions, reports: Reports
-    ):
+    def __init__(self, direct: DirectTopics, topics: Iterable[TopicType], reports: Reports):
         self._direct = direct
-        self._definitions = definitions
         self._lock = threading.Lock()
         self._types_by_topic = {rospy.resolve_name(topic): message_type for topic, message_type in topics}
         self._added: Dict[str, str] = {}
@@ -295,10 +290,6 @@ class InputTopicChanges:
         self._publisher = rospy.Publisher(INPUT_CHANGES_TOPIC, String, queue_size=10, latch=True)
         self._publish()
         self._goal_topics = SubscriptionReceiver(self._record, reports)
-
-    def knows_type(self, message_type: str) -> bool:
-        """Return whether a message type is known."""
-        return message_type in self._definitions
 
     def subscribe(self, topic: str, message_type: str) -> None:
         """Have node ``retalis`` subscribe to a topic.

@@ -47,7 +47,7 @@ import rospy
 from ..engine.runtime.problem_reports import Reports
 from ..foundation.errors import RetalisError
 from .connection_writer import TopicWriter
-from .topic_names import MASTER_ERRORS
+from .master_watch import MASTER_ERRORS
 
 MAX_BUFFERED_BYTES = 64_000_000
 """Limit for buffered texts, and separately for latched messages."""

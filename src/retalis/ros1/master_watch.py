@@ -12,15 +12,24 @@ unregisters those that have ended meanwhile.
 import sys
 import threading
 import time
-from http.client import HTTPConnection
+from http.client import HTTPConnection, HTTPException
 from typing import Any, Dict, List, Tuple, Union
-from xmlrpc.client import ServerProxy, Transport
+from xml.parsers.expat import ExpatError
+from xmlrpc.client import Error, ServerProxy, Transport
 
 import rosgraph
 import rospy
 from rospy.impl.registration import get_service_manager
 
-from .topic_names import MASTER_ERRORS
+MASTER_ERRORS = (
+    OSError,
+    Error,
+    HTTPException,
+    ExpatError,
+    rosgraph.MasterException,
+    rosgraph.MasterError,
+)
+"""Errors of a call of the master that does not answer, or not as expected: another server may have its port."""
 
 CHECK_INTERVAL_SECONDS = 1.0
 """Seconds between two checks."""

@@ -25,9 +25,8 @@ from ..node.goal_output import log_counts
 from ..node.node_process import run_node_process, wait_while
 from ..node.parameters import Parameters, read_parameters
 from ..prolog.builtins.listing_and_messages import goal_log
-from .master_watch import MasterWatch, wait_for_master
+from .master_watch import MASTER_ERRORS, MasterWatch, wait_for_master
 from .rospy_transport import find_default_program
-from .topic_names import MASTER_ERRORS
 
 MAX_SHUTDOWN_SECONDS = 10.0
 """Limit in seconds for the shutdown; roslaunch sends SIGTERM and then SIGKILL from 15 s after SIGINT on."""

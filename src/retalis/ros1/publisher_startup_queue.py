@@ -20,7 +20,7 @@ from rospy.rostime import wallsleep
 from ..engine.runtime.problem_reports import Reports
 from ..foundation.displayed_text import format_count
 from .connection_writer import TopicWriter
-from .topic_names import MASTER_ERRORS
+from .master_watch import MASTER_ERRORS
 
 MAX_SUBSCRIBER_WAIT_SECONDS = 5.0
 """Maximum time in seconds for which messages wait for the subscribers that the master knows."""

@@ -44,9 +44,8 @@ from .internode_control_topics import (
     announce_direct,
 )
 from .node_lifecycle import run_node
-from .rospy_transport import RospyTransport
+from .rospy_transport import RospyTransport, resolve
 from .text_topics import NO_TEXT_HINT, EventTextPublisher, make_text_handler_factory
-from .topic_names import resolve
 
 MAX_DELAY_SECONDS = 0.0018
 """Seconds for which a message may wait for the next ones, to be converted and sent together.
@@ -71,10 +70,8 @@ class ServiceNode:
         context = HostContext(transport, parameters, reports)
         topics = context.topics
         direct = direct_topics(parameters.direct, topics, transport.resolve_topic)
-        self._changes = InputTopicChanges(
-            parameters.direct, (*topics.subscribed, *direct), context.definitions, reports
-        )
-        InterfaceServices(transport, self._changes)
+        self._changes = InputTopicChanges(parameters.direct, (*topics.subscribed, *direct), reports)
+        InterfaceServices(transport, context.definitions, self._changes.subscribe, self._changes.unsubscribe)
         ListService(transport, list, reports=reports)
         self._diagnostics = Diagnostics(
             transport, parameters.diagnostics, NodeHealth(list, list, list), reports, parameters.hardware_id
@@ -111,7 +108,7 @@ class TextInterfaceNode:
         self._subscriptions = SubscriptionReceiver(subscribed.try_to_subscribe, reports)
         # Node retalis compares it with its own value.
         self._direct = announce_direct(parameters.direct)
-        InterfaceServices(transport, subscribed)
+        InterfaceServices(transport, context.definitions, subscribed.subscribe, subscribed.unsubscribe)
         ListService(transport, subscribed.statuses, reports=reports)
         # After the services: they identify this node to node retalis once it connects; see `internode_delivery`.
         subscribed.subscribe_texts(OUTPUT, make_text_handler_factory(self._published.publish_text))

@@ -21,8 +21,7 @@ from ..messages.type_registry import InstalledTypes
 from .connection_writer import serialized_class
 from .installed_message_classes import fill_message, inspect_class, read_fields
 from .internode_control_topics import INPUT_CHANGES_TOPIC
-from .master_watch import MasterWatch
-from .topic_names import MASTER_ERRORS
+from .master_watch import MASTER_ERRORS, MasterWatch
 
 MASTER_TIMEOUT_SECONDS = 5.0
 """Timeout in seconds for calls of the master."""

@@ -21,6 +21,7 @@ from ..events.program.topic_configuration import ANY_QUALITY, QualityOfService
 from ..foundation.bounded_caches import Cache
 from ..foundation.displayed_text import shorten
 from ..foundation.errors import RetalisError, UsageError
+from ..foundation.ros_name_checks import topic_fault
 from ..messages.type_definition import Definition, SerializationFormat, service_checksum
 from ..messages.type_registry import InstalledTypes
 from ..node.service_caller import CallThreads
@@ -28,9 +29,9 @@ from ..node.transport import Connect, GraphChange, MessageReceiver, MessageSourc
 from .batched_socket_reader import read_in_batches, refuse_own_connection
 from .connection_writer import TopicWriter, serialized_bytes, serialized_class
 from .installed_message_classes import fill_message, installed_types, read_fields
+from .master_watch import MASTER_ERRORS
 from .publisher_startup_queue import StartupQueue, SubscriberWait
 from .tf2_buffer import choose_buffer
-from .topic_names import MASTER_ERRORS, resolve
 
 if TYPE_CHECKING:
     from ..events.knowledge.transform_buffer import TransformBuffer
@@ -51,6 +52,22 @@ _NO_PROVIDER = "no provider"
 """Error of the master for a service that no node offers."""
 
 _began = time.monotonic()
+
+
+def resolve(topic: str) -> str:
+    """Return the full name of a topic, after remapping and in its namespace.
+
+    Raises:
+        UsageError: if the name is invalid.
+    """
+    # rospy accepts names that the master or other clients reject, so the package's own check comes first.
+    fault = topic_fault(topic.strip())
+    if fault is not None or not topic.strip(" /"):
+        raise UsageError(fault or f'"{topic}" is not a topic name')
+    try:
+        return str(rospy.resolve_name(topic.strip()))
+    except (ValueError, rospy.ROSException) as error:
+        raise UsageError(f'"{topic}" is not a topic name: {error}') from error
 
 
 def ros_now() -> int:

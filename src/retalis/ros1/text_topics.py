@@ -47,7 +47,7 @@ from ..node.transport_time import Receipts
 from ..prolog.terms.types import Term
 from .connection_writer import TopicWriter
 from .internode_delivery import ENGINE, INTERFACE, LatePeerBuffer, Publishers, SubscriberIdentifier
-from .topic_names import resolve
+from .rospy_transport import resolve
 
 MAX_TEXTS_PER_WRITE = 64
 """Limit for the texts that one write combines."""

@@ -35,8 +35,8 @@ from ..node.parameters import (
     read_adjustable_parameters,
     read_parameters,
 )
-from ..node.plain_text_exchange import PlainTextExchange
 from ..node.program_host import ProgramHost
+from ..node.text_exchange import PlainTextExchange
 from ..prolog.builtins.listing_and_messages import goal_log
 from .installed_interfaces import ament_prefixes
 from .rclpy_transport import (

@@ -19,7 +19,8 @@ class Node:
     def __init__(self, timer_bench: Any, name: Any, serial: Any, position: int = 0) -> None:
         self.timer_bench = timer_bench
         self.name = name
-        self.rule = SimpleNamespace(serial=serial, active=True)
+        self.serial = serial
+        self.active = True
         self.position = position
         self.watermark = PatternWatermark()
         self.alarm_instant: Optional[int] = None
@@ -116,7 +117,7 @@ def test_inactive_rule_has_no_alarms(later: int) -> None:
     inactive, active = timer_bench.node("gone", 1), timer_bench.node("here", 2)
     inactive.request(10)
     active.request(later)
-    inactive.rule.active = False
+    inactive.active = False
     assert timer_bench.advance_to(100) == ([(later, "here")], [])
 
 

@@ -130,11 +130,6 @@ class OutputRateLimiter(StateOwner):
         """The stream operator."""
         return self._stream
 
-    @property
-    def rule(self) -> "OutputRateLimiter":
-        """The owner, see `TimedNode`."""
-        return self
-
     def process(self, term: Term, values: Values, start: int, end: int) -> None:
         """Process an event of the subscription.
 

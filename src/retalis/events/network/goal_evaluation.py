@@ -48,24 +48,12 @@ ExtendValues = Callable[[Values], Optional[Values]]
 """Returns the values of a match with those of a condition's solution, or None if it has none."""
 
 
-class AlarmOwner(Protocol):
-    """The owner of nodes with alarms: a rule or a subscription."""
-
-    @property
-    def serial(self) -> int:
-        """Alarms of owners with a lower number run first."""
-
-    @property
-    def active(self) -> bool:
-        """True while the clock may call its nodes."""
-
-
 class TimedNode(Protocol):
     """A node with an alarm of the clock.
 
     Attributes:
         alarm_instant: the instant of its next alarm; None without one.
-        position: position among the nodes of the same owner.
+        position: position among the nodes of the same rule, or among the subscriptions.
         watermark: the watermark that has to reach the instant.
     """
 
@@ -74,8 +62,12 @@ class TimedNode(Protocol):
     watermark: "PatternWatermark"
 
     @property
-    def rule(self) -> AlarmOwner:
-        """The owner."""
+    def serial(self) -> int:
+        """Number of its rule: alarms of lower numbers run first; 0 for a subscription."""
+
+    @property
+    def active(self) -> bool:
+        """True while the clock may call it."""
 
     def on_alarm(self, instant: int, frame: Frame, /) -> Frame:
         """Return the frame that processes everything that is due, and continues with ``frame``."""

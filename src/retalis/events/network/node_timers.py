@@ -81,7 +81,7 @@ class NodeTimers:
     def _push(self, node: TimedNode, instant: int) -> None:
         due_time = instant + node.watermark.delay
         heapq.heappush(
-            self._heap, (due_time, node.rule.serial, node.position, next(self._next_number), instant, node)
+            self._heap, (due_time, node.serial, node.position, next(self._next_number), instant, node)
         )
 
     def reschedule(self) -> None:
@@ -136,7 +136,7 @@ class NodeTimers:
                     return
                 node.alarm_instant = None
                 # An inactive rule is being reloaded; its nodes set their timeouts again if the rule is activated.
-                if node.rule.active:
+                if node.active:
                     machine = self._machine
                     self._dispatcher.run_without_context(
                         lambda: machine.run(node.on_alarm(node_instant, machine.done))

@@ -696,6 +696,16 @@ class StreamNode(NetworkNode):
             self.alarm_instant = instant
             self.rule.network.set_node_alarm(self, instant)
 
+    @property
+    def serial(self) -> int:
+        """See `TimedNode`."""
+        return self.rule.serial
+
+    @property
+    def active(self) -> bool:
+        """See `TimedNode`."""
+        return self.rule.active
+
     def on_alarm(self, instant: int, frame: Frame) -> Frame:
         """Return the frame that emits the outputs that are due, and continues with ``frame``."""
         self.alarm_instant = None

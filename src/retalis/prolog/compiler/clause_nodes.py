@@ -41,9 +41,9 @@ from ..terms.types import (
     TRUE,
     Atom,
     CompoundTerm,
-    FrameCode,
     Functor,
     Lazy,
+    Step,
     Term,
     Var,
     deref,
@@ -145,8 +145,12 @@ class SourceClause(Protocol):
         """True if the clause is too large to be compiled."""
 
 
-class SourcePredicate(FrameCode, Protocol):
+class SourcePredicate(Protocol):
     """Predicate as the compiler reads it; see the attributes of `Predicate`."""
+
+    @property
+    def run(self) -> Step:
+        """The function that executes a frame of a call."""
 
     kind: str
     function: Optional[Callable[..., Any]]

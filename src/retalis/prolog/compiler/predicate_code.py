@@ -21,7 +21,7 @@ from typing import Any, Callable, Dict, FrozenSet, List, NamedTuple, Optional, S
 from ...foundation import codegen
 from ...foundation.source_places import Place
 from ..machine.machine import Code
-from ..terms.types import TRUE, Atom, CompoundTerm, Frame, FrameCode, Functor, Lazy, Step, Term, Var, deref
+from ..terms.types import TRUE, Atom, CompoundTerm, Frame, Functor, Lazy, Step, Term, Var, deref
 from .body_code import BodyGenerator
 from .clause_nodes import BodyParser, CallNode, GoalNode, Height, PredicateResolver, needed_by
 from .code_scope import ClauseVariables, CompilationUnit, Loop, Scope
@@ -323,7 +323,7 @@ class PredicateGenerator:
         database: PredicateResolver,
         key: Functor,
         clauses: Sequence[ClauseParts],
-        code: FrameCode,
+        code: object,
         unbound: FrozenSet[int] = frozenset(),
     ):
         self.database = database

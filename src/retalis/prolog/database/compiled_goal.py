@@ -56,8 +56,9 @@ class OutputsNode(CallNode):
 def _deliver_outputs(frame: Frame) -> Optional[Frame]:
     """Pass the outputs in a frame to the collector that follows it."""
     # Outputs are resolved: the bindings are undone before Python reads them.
-    collector: Tuple[OutputCollector, ...] = frame[-1]
-    return collector[0].collect(collector, tuple([resolve(value) for value in frame[1:-1]]))
+    continuation: Frame = frame[-1]
+    collect: OutputCollector = continuation[0]
+    return collect(continuation, tuple([resolve(value) for value in frame[1:-1]]))
 
 
 OUTPUTS_CODE = Code("outputs", _deliver_outputs)
@@ -402,7 +403,7 @@ class CompiledGoal:
             undo(machine.trail, mark)
             return () if succeeded else None
         solutions: List[Values] = []
-        if not machine.run((self._output_code, *values, (_COLLECT_FIRST, solutions, machine.done))):
+        if not machine.run((self._output_code, *values, (_collect_first, solutions, machine.done))):
             return None
         undo(machine.trail, mark)
         return solutions[0]
@@ -431,7 +432,7 @@ class CompiledGoal:
         machine = self._machine
         mark = len(machine.trail)
         solutions: List[Values] = []
-        machine.run((self._output_code, *values, (_COLLECT_ALL, solutions)))
+        machine.run((self._output_code, *values, (_collect_all, solutions)))
         undo(machine.trail, mark)
         return solutions
 
@@ -439,20 +440,12 @@ class CompiledGoal:
         return f"<Goal {self.name}>"
 
 
-class _FirstSolution:
-    """Collector that stores the outputs and continues with the next frame."""
-
-    def collect(self, frame: Frame, outputs: Values) -> Frame:
-        frame[1].append(outputs)
-        return frame[2]  # type: ignore[no-any-return]
+def _collect_first(frame: Frame, outputs: Values) -> Frame:
+    """Store the outputs, and continue with the next frame."""
+    frame[1].append(outputs)
+    return frame[2]  # type: ignore[no-any-return]
 
 
-class _AllSolutions:
-    """Collector that stores the outputs and fails, so that the machine backtracks into the next solution."""
-
-    def collect(self, frame: Frame, outputs: Values) -> None:
-        frame[1].append(outputs)
-
-
-_COLLECT_FIRST = _FirstSolution()
-_COLLECT_ALL = _AllSolutions()
+def _collect_all(frame: Frame, outputs: Values) -> None:
+    """Store the outputs and fail, so that the machine backtracks into the next solution."""
+    frame[1].append(outputs)

@@ -21,7 +21,7 @@ within a run, without a nested loop.
 """
 
 from sys import getrefcount
-from typing import Any, Callable, Generator, List, NamedTuple, Optional, Protocol, Tuple
+from typing import Any, Callable, Generator, List, NamedTuple, Optional, Tuple
 
 from ...foundation.errors import RetalisError, TermTooLarge
 from ...foundation.limit_checks import set_limit_check
@@ -31,12 +31,11 @@ from ..terms.unification import undo, unify
 from .errors import CONTEXT, ERROR, PrologError, first_goal_functor, from_python, indicator, resource_error
 from .resource_limits import SLICE, Budget, BudgetState
 
+OutputCollector = Callable[[Frame, Values], Optional[Frame]]
+"""First item of a continuation that receives the outputs of a solution of a goal.
 
-class OutputCollector(Protocol):
-    """Code of a continuation that receives the outputs of a goal."""
-
-    def collect(self, frame: Frame, outputs: Values, /) -> Optional[Frame]:
-        """Receive the outputs of a solution; return the next frame, or None to request the next solution."""
+Returns the next frame, or None to request the next solution.
+"""
 
 
 LAST = object()
@@ -211,7 +210,7 @@ class Machine:
         self._compact_at = MIN_COMPACTED_ENTRIES
         self._enter_code = Code("attempt", self._enter_attempt)
         self._attempt_code = Code("attempt", self._attempt_failed, True)
-        self._exit_code = _AttemptExit(self)
+        self._exit_code: OutputCollector = self._end_attempt
         self.catch_code = Code("catch", fail, True)
 
     def state(self) -> MachineState:
@@ -560,20 +559,11 @@ class Machine:
         self.budget.goal = entry[1]
         return entry[2]  # type: ignore[no-any-return]
 
-
-class _AttemptExit:
-    """Continuation of an attempt's goal: drops its choice points and bindings, and passes on its outputs."""
-
-    __slots__ = ("_machine",)
-
-    def __init__(self, machine: Machine):
-        self._machine = machine
-
-    def collect(self, frame: Frame, outputs: Values) -> Optional[Frame]:
-        machine = self._machine
+    def _end_attempt(self, frame: Frame, outputs: Values) -> Optional[Frame]:
+        """Drop the choice points and bindings of an attempt's goal, and pass on its outputs."""
         height = frame[1]
-        entry = machine.choices[height]
-        del machine.choices[height:]
-        undo(machine.trail, entry[-1])
-        machine.budget.goal = entry[1]
+        entry = self.choices[height]
+        del self.choices[height:]
+        undo(self.trail, entry[-1])
+        self.budget.goal = entry[1]
         return frame[2](outputs)  # type: ignore[no-any-return]

@@ -9,7 +9,6 @@ type            meaning
 `Trail`         the bindings to undo on backtracking
 `Frame`         a continuation: a step, its arguments, and the frame that follows
 `Step`          the function that executes a frame
-`FrameCode`     the first item of a frame
 `EventAction`   the action for an event that matches a pattern
 =============== =============================================================================
 
@@ -21,7 +20,7 @@ Walks over terms never recurse in Python, because a term can be nested deeper th
 ``term.__class__`` instead of calling ``isinstance``: no term class has subclasses, and the test is the innermost
 operation of the system.
 
-`Frame`, `Step`, `FrameCode` and `EventAction` are defined here because every higher package refers to them: the
+`Frame`, `Step` and `EventAction` are defined here because every higher package refers to them: the
 machine executes frames, and event listeners and network nodes return them. They depend on nothing above this module.
 """
 
@@ -239,22 +238,15 @@ Values = Tuple[Term, ...]
 Frame = Tuple[Any, ...]
 """A continuation, ``(code, argument..., next)``: a step with its arguments, and the frame that follows it.
 
-The first item is a `FrameCode`, which defines the types of the arguments. The last item is a frame, or None in the
+The first item is the code, which defines the types of the arguments: a `Code`, a predicate, or any other object whose
+attribute ``run`` is a `Step`. The last item is a frame, or None in the
 frame that ends a run. A choice point is a frame with one more item, the length of the trail. A step that fails has no
 next frame, so functions that can fail return ``Optional[Frame]``. Classes for frames would be more explicit, and
 would make every step slower.
 """
 
 Step = Callable[[Frame], Optional[Frame]]
-"""The function that executes a frame, the ``run`` of a `FrameCode`."""
-
-
-class FrameCode(Protocol):
-    """The first item of a frame: a `Code`, a predicate, or any other object that executes steps."""
-
-    @property
-    def run(self) -> Step:
-        """The function that executes the frame."""
+"""The function that executes a frame, the ``run`` of the frame's code."""
 
 
 EventAction = Callable[[Term, Values, int, int, Frame], Frame]
