@@ -24,7 +24,7 @@ from typing import List
 ROOT = Path(__file__).resolve().parents[1]
 sys.path[:0] = [str(ROOT / "src"), str(ROOT / "test" / "engine")]
 
-from checkpoint_victim import GOALS, RULES  # noqa: E402
+from killed_checkpoint_process import GOALS, RULES  # noqa: E402
 
 from retalis import Clock, Engine, Reports  # noqa: E402
 from retalis.engine.checkpoints import Checkpointer, CheckpointStorage  # noqa: E402
@@ -36,7 +36,7 @@ JOINTS = (
     ("Neck", "Head"),
     ("Head", "CameraTop_frame"),
 )
-VICTIM = ROOT / "test" / "engine" / "checkpoint_victim.py"
+VICTIM = ROOT / "test" / "engine" / "killed_checkpoint_process.py"
 
 
 def keep_while_running(seconds: float) -> None:

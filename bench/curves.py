@@ -4,7 +4,7 @@
     bench/curves.py [--curve NAME ...] [--most N] [--runs N] [--json FILE] [--plot FILE]
 
 Prints a line for each curve: name, microseconds at each size, and the exponent of the power law that fits the upper
-half of the sizes best (0: constant cost; 1: linear cost). ``bench/events.py`` measures partial matches.
+half of the sizes best (0: constant cost; 1: linear cost). ``bench/partial_matches.py`` measures partial matches.
 """
 
 import argparse

@@ -1,4 +1,4 @@
-"""Cost of an event in windows, row patterns, absences, timers and states: rows for ``bench/events.py``.
+"""Cost of an event in windows, row patterns, absences, timers and states: rows for ``bench/partial_matches.py``.
 
 A row is a program with N items: items of a window, keys, partial matches, timers, open states. Steps of one second
 are fed until there are N items, and then further steps, in which as many items are added as expire. The cost is that

@@ -4,7 +4,7 @@ import re
 from typing import Iterator
 
 import pytest
-from source import ROOT
+from parsed_sources import ROOT
 
 MAX_ANY_PER_THOUSAND = 10
 """Lines in a thousand that may contain `Any`, without imports of the name."""

@@ -5,7 +5,7 @@ import re
 from typing import Any, Iterator, List, Set, Tuple
 
 import pytest
-from source import NODES, ROOT, SOURCE
+from parsed_sources import NODES, ROOT, SOURCE
 
 pytestmark = pytest.mark.docs
 

@@ -6,7 +6,7 @@ from functools import lru_cache
 from typing import Any, Dict, Iterator, Optional, Set, Tuple, Union
 
 import pytest
-from source import FILES, NODES, TREES
+from parsed_sources import FILES, NODES, TREES
 
 ENGINE = "engine/engine.py"
 

@@ -2,7 +2,7 @@
 
 import ast
 
-from source import FILES, TREES
+from parsed_sources import FILES, TREES
 
 RECORD_TYPES = {"compact_record_of", "record_of", "rows_of"}
 """Functions that declare the fields of a record."""

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, List
 
 import pytest
-from source import ROOT
+from parsed_sources import ROOT
 
 FOLDER = ROOT / "docs" / "editors" / "vscode"
 STARTED_BY_HOOK = """

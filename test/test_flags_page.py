@@ -4,7 +4,7 @@ import re
 from typing import Any, Iterator
 
 import pytest
-from source import ROOT
+from parsed_sources import ROOT
 
 from retalis import Engine, PrologError
 from retalis.events.rules.language_flags import FLAGS

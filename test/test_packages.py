@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any, Iterator, List
 
 import pytest
-from source import ROOT, packages
+from parsed_sources import ROOT, packages
 
 MODULES = packages.MODULES
 

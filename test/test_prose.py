@@ -6,7 +6,7 @@ from functools import lru_cache
 from typing import Any, Dict, Iterator, List
 
 import pytest
-from source import NODES, ROOT
+from parsed_sources import NODES, ROOT
 
 pytestmark = [pytest.mark.docs, pytest.mark.nightly]
 

@@ -16,7 +16,7 @@ from itertools import product
 from typing import Any, Dict, Iterator, List, NamedTuple, Set, Tuple
 
 import pytest
-from source import FILES
+from parsed_sources import FILES
 
 from retalis.prolog.syntax import tokenizer
 

@@ -7,7 +7,7 @@ from typing import Any, Dict
 from xml.etree import ElementTree
 
 import pytest
-from source import ROOT, TREES
+from parsed_sources import ROOT, TREES
 
 from retalis import Settings
 from retalis.engine.event_input import MAX_EVENT_TEXT_CHARACTERS

@@ -6,7 +6,7 @@ from collections import defaultdict
 from functools import lru_cache
 from typing import Any, List
 
-from source import NODES, ROOT, TREES
+from parsed_sources import NODES, ROOT, TREES
 
 GLOSSARY = ROOT / "docs" / "reference" / "glossary.md"
 

@@ -6,7 +6,7 @@ from typing import Any, Callable, Dict, List, Mapping, Optional, Sequence, Tuple
 
 from node.in_memory_hosts import decode
 from node.memory_transport import MemoryTransport
-from source import ROOT
+from parsed_sources import ROOT
 
 from retalis import UsageError
 from retalis.cli.node_client import RunningNodes

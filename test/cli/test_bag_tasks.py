@@ -10,7 +10,7 @@ from typing import Any, List, Optional
 
 import pytest
 from asserting_accessors import required
-from bags_and_program import SECOND, make_bag, make_program
+from many_bags_program import SECOND, make_bag, make_program
 
 from retalis import BagError, BagReader
 from retalis.cli.bag_command import add_parser, play_bag

@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import Any, List, Tuple
 
 import pytest
+from parsed_sources import ROOT
 from recorded_calls import preceded_by
-from source import ROOT
 
 from retalis import BagWriter, Definitions
 from retalis.cli.command_line import main

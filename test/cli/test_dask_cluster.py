@@ -14,7 +14,7 @@ from types import SimpleNamespace
 from typing import Any, Callable, Dict, Iterator, List, Tuple
 
 import pytest
-from source import ROOT
+from parsed_sources import ROOT
 from subprocess_python_path import python_path
 from worker_tasks import run_task_in_folder
 

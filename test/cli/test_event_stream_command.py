@@ -23,77 +23,59 @@ ROOT = Path(__file__).resolve().parents[2]
 RULES = "alarm(X) <- smoke(X) seq heat(X) where X \\= lab.\n"
 
 
-@pytest.fixture
-def run(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Any:
-    """Return a function that runs the command over texts and returns its status, output lines and errors."""
-
-    def call(*options: Any, **files: Any) -> Tuple[Any, ...]:
-        arguments = ["events"]
-        for name, text in files.items():
-            option = name.replace("_", "-")
-            if text is None:
-                arguments += [f"--{option}", str(tmp_path / f"{name}.out")]
-            else:
-                path = tmp_path / f"{name}.txt"
-                path.write_text(text, encoding="utf-8")
-                arguments += [f"--{option}", str(path)]
-        status = main([*arguments, *options])
-        captured = capsys.readouterr()
-        return status, captured.out.splitlines(), captured.err
-
-    return call
-
-
-def test_events_are_printed_in_order_of_dispatch(run: Any) -> None:
+def test_events_are_printed_in_order_of_dispatch(run_events: Any) -> None:
     stream = "event(smoke(a),[1,2]).\nevent(heat(a),[3,4.5]).\n"
-    assert run(rules=RULES, stream=stream) == (
+    assert run_events(rules=RULES, stream=stream) == (
         0,
         ["event(smoke(a),[1,2]).", "event(heat(a),[3,4.5]).", "event(alarm(a),[1,4.5])."],
         "",
     )
 
 
-def test_printed_events_can_be_read_again(run: Any) -> None:
+def test_printed_events_can_be_read_again(run_events: Any) -> None:
     stream = "event('A b'(\"s\",[x|T],'it''s',-1,- 1,a+b*c,{q},T,U),[1,1]).\n"
-    status, lines, _ = run(stream=stream)
+    status, lines, _ = run_events(stream=stream)
     assert (status, len(lines)) == (0, 1)
-    assert run(stream="\n".join(lines)) == (0, lines, "")
+    assert run_events(stream="\n".join(lines)) == (0, lines, "")
 
 
-def test_event_with_strings_and_variables_is_read(run: Any) -> None:
+def test_event_with_strings_and_variables_is_read(run_events: Any) -> None:
     rules = 'yes(1) <- a("text",inf) . yes(2) <- a("text",X) where var(X).\n'
     for stream in ('event(a("text",inf),[1,1]).\n', 'event(a("text",inf),[1,1]). true.\n'):
-        assert run(rules=rules, stream=stream)[1] == ['event(a("text",inf),[1,1]).', "event(yes(1),[1,1])."]
-    assert run(rules=rules, stream='event(a("text",True),[1,1]).')[1][0] == 'event(a("text",A),[1,1]).'
+        assert run_events(rules=rules, stream=stream)[1] == [
+            'event(a("text",inf),[1,1]).',
+            "event(yes(1),[1,1]).",
+        ]
+    assert run_events(rules=rules, stream='event(a("text",True),[1,1]).')[1][0] == 'event(a("text",A),[1,1]).'
 
 
-def test_stamps_keep_their_form(run: Any) -> None:
+def test_stamps_keep_their_form(run_events: Any) -> None:
     stream = "event(a,[datime(2001,1,1,0,0,0,5),datime(2001,1,1,0,0,1.0,0)]).\nevent(b,[datime(2001,1,1,0,0,2),3e9])."
-    assert run(stream=stream)[1] == [
+    assert run_events(stream=stream)[1] == [
         "event(a,[datime(2001,1,1,0,0,0,5),datime(2001,1,1,0,0,1.0,0)]).",
         "event(b,[datime(2001,1,1,0,0,2),3000000000.0]).",
     ]
 
 
-def test_goals_precede_rules_and_stream(run: Any) -> None:
+def test_goals_precede_rules_and_stream(run_events: Any) -> None:
     goals = "set_etalis_flag(event_consumption_policy,unrestricted)\nassert(hot(a))\n"
     rules = "alarm(X) <- smoke(X) seq heat(X) where hot(X).\n"
     stream = "event(smoke(a),[1,1]). event(heat(a),[2,2]). event(heat(a),[3,3]).\n"
-    assert run(goals=goals, rules=rules, stream=stream)[1][-1] == "event(alarm(a),[1,3])."
+    assert run_events(goals=goals, rules=rules, stream=stream)[1][-1] == "event(alarm(a),[1,3])."
 
 
-def test_other_terms_of_stream_are_goals(run: Any) -> None:
+def test_other_terms_of_stream_are_goals(run_events: Any) -> None:
     stream = "assert(hot(a)).\nevent(go,[1,1]).\nwrite(hello), nl.\n"
-    assert run(rules=":- dynamic(hot/1).\nyes <- go where hot(a).\n", stream=stream) == (
+    assert run_events(rules=":- dynamic(hot/1).\nyes <- go where hot(a).\n", stream=stream) == (
         0,
         ["event(go,[1,1]).", "event(yes,[1,1]).", "hello"],
         "",
     )
 
 
-def test_goals_may_be_directives(run: Any) -> None:
+def test_goals_may_be_directives(run_events: Any) -> None:
     stream = ":- assertz(f(1)).\n?- assertz(f(2)).\n"
-    assert run(goals=":- assertz(f(0)).", stream=stream, queries=":- f(X).\n?- f(2).") == (
+    assert run_events(goals=":- assertz(f(0)).", stream=stream, queries=":- f(X).\n?- f(2).") == (
         0,
         ["f(0).", "f(1).", "f(2).", "f(2)."],
         "",
@@ -101,45 +83,47 @@ def test_goals_may_be_directives(run: Any) -> None:
 
 
 @pytest.mark.parametrize("time", ["-1", "x", "_", "inf"])
-def test_invalid_sleep_is_an_error(run: Any, time: str) -> None:
-    status, _, error = run(stream=f"sleep({time}).\n")
+def test_invalid_sleep_is_an_error(run_events: Any, time: str) -> None:
+    status, _, error = run_events(stream=f"sleep({time}).\n")
     assert status == 1
     assert "stream.txt:1:1: sleep/1: expected a number of seconds" in error
 
 
-def test_outputs_are_written_to_file(run: Any, tmp_path: Path) -> None:
+def test_outputs_are_written_to_file(run_events: Any, tmp_path: Path) -> None:
     goals = "subscribe(alarm(X),[],at(X),topic,'my id')"
     stream = "event(smoke(a),[1,1]). event(heat(a),[2,2])."
-    status, lines, _ = run(goals=goals, rules=RULES, stream=stream, outputs=None)
+    status, lines, _ = run_events(goals=goals, rules=RULES, stream=stream, outputs=None)
     assert (status, len(lines)) == (0, 3)
     assert (tmp_path / "outputs.out").read_text() == "output(at(a),topic,'my id').\n"
 
 
-def test_outputs_can_be_printed(run: Any) -> None:
+def test_outputs_can_be_printed(run_events: Any) -> None:
     goals = "subscribe(alarm(X),[],at(X),topic,i)"
     stream = "event(smoke(a),[1,1]). event(heat(a),[2,2])."
-    assert "output(at(a),topic,i)." in run("--outputs", "-", goals=goals, rules=RULES, stream=stream)[1]
+    assert (
+        "output(at(a),topic,i)." in run_events("--outputs", "-", goals=goals, rules=RULES, stream=stream)[1]
+    )
 
 
 MEMORY = "memorize(a(X),[],X,m,2)"
 
 
-def test_memory_events_are_printed_on_request_only(run: Any) -> None:
-    assert run(goals=MEMORY, stream="event(a(1),[1,1]).")[1] == ["event(a(1),[1,1])."]
-    lines = run("--memory-events", goals=MEMORY, stream="event(a(1),[1,1]).")[1]
+def test_memory_events_are_printed_on_request_only(run_events: Any) -> None:
+    assert run_events(goals=MEMORY, stream="event(a(1),[1,1]).")[1] == ["event(a(1),[1,1])."]
+    lines = run_events("--memory-events", goals=MEMORY, stream="event(a(1),[1,1]).")[1]
     assert [line.partition("(")[0] for line in lines] == ["memory_event", "event", "memory_event"]
     assert lines[2].startswith("memory_event(memory_updated(m,1),[")
 
 
-def test_queries_print_their_solutions(run: Any) -> None:
+def test_queries_print_their_solutions(run_events: Any) -> None:
     queries = "member(X,[1,2])\naccess_mem(m,X,[T1,T2]).\nfail\n"
-    status, lines, _ = run(goals=MEMORY, stream="event(a(q),[1,2]).", queries=queries)
+    status, lines, _ = run_events(goals=MEMORY, stream="event(a(q),[1,2]).", queries=queries)
     assert status == 0
     assert lines == ["event(a(q),[1,2]).", "member(1,[1,2]).", "member(2,[1,2]).", "access_mem(m,q,[1,2])."]
 
 
-def test_error_in_query_does_not_stop_others(run: Any) -> None:
-    status, lines, error = run(queries="member(X,[1])\nunknown_one(1)\nmember(X,[2])\n")
+def test_error_in_query_does_not_stop_others(run_events: Any) -> None:
+    status, lines, error = run_events(queries="member(X,[1])\nunknown_one(1)\nmember(X,[2])\n")
     assert status == 1
     assert lines == ["member(1,[1]).", "member(2,[2])."]
     assert "queries.txt:2:1" in error
@@ -148,9 +132,9 @@ def test_error_in_query_does_not_stop_others(run: Any) -> None:
 # ---- time -----------------------------------------------------------------------------------------------
 
 
-def test_clock_follows_stream(run: Any) -> None:
+def test_clock_follows_stream(run_events: Any) -> None:
     stream = "event(a,[10,10]).\nevent(b).\nsleep(2.5).\nevent(c).\n"
-    lines = run(stream=stream)[1]
+    lines = run_events(stream=stream)[1]
     assert lines[1:] == ["event(b,[10,10]).", "event(c,[12.5,12.5])."]
 
 
@@ -158,36 +142,36 @@ def test_clock_follows_stream(run: Any) -> None:
     ("start", "end"),
     [("1", "6"), ("1.5", "6.5"), ("datime(2026,1,1,0,0,1,0)", "datime(2026,1,1,0,0,6,0)")],
 )
-def test_clock_times_have_form_of_stream(run: Any, start: str, end: str) -> None:
+def test_clock_times_have_form_of_stream(run_events: Any, start: str, end: str) -> None:
     stream = f"event(beat,[{start},{start}]).\nsleep(9).\n"
-    lines = run("--explain", "lost", rules="lost <- beat seq absent(beat, 5).\n", stream=stream)[1]
+    lines = run_events("--explain", "lost", rules="lost <- beat seq absent(beat, 5).\n", stream=stream)[1]
     assert lines[1] == f"event(lost,[{start},{end}])."
     assert lines[3].startswith(f"%   lost [{start},{end}] by rule")
 
 
-def test_sleep_lets_alarms_fire(run: Any) -> None:
+def test_sleep_lets_alarms_fire(run_events: Any) -> None:
     rules = "exceptionAlarm(late,5) <- start.\n"
-    assert run(rules=rules, stream="event(start,[1,1]).\nsleep(4).\n")[1] == ["event(start,[1,1])."]
-    lines = run(rules=rules, stream="event(start,[1,1]).\nsleep(4).\nsleep(1).\n")[1]
+    assert run_events(rules=rules, stream="event(start,[1,1]).\nsleep(4).\n")[1] == ["event(start,[1,1])."]
+    lines = run_events(rules=rules, stream="event(start,[1,1]).\nsleep(4).\nsleep(1).\n")[1]
     assert lines[1].startswith("event(late,[1,")
 
 
-def test_due_alarms_fire_before_event(run: Any) -> None:
-    lines = run(
+def test_due_alarms_fire_before_event(run_events: Any) -> None:
+    lines = run_events(
         rules="exceptionAlarm(late,5) <- start.\n", stream="event(start,[1,1]).\nevent(x,[20,20]).\n"
     )[1]
     assert [line[: line.index(",")] for line in lines] == ["event(start", "event(late", "event(x"]
 
 
-def test_pinned_clock_is_constant(run: Any) -> None:
+def test_pinned_clock_is_constant(run_events: Any) -> None:
     stream = "event(a).\nevent(x,[datime(2005,1,1,0,0,0,0),datime(2005,1,1,0,0,0,0)]).\nevent(b).\n"
-    lines = run("--clock", "datime(2001,1,1,0,0,0,0)", stream=stream)[1]
+    lines = run_events("--clock", "datime(2001,1,1,0,0,0,0)", stream=stream)[1]
     assert lines[0] == "event(a,[datime(2001,1,1,0,0,0,1),datime(2001,1,1,0,0,0,1)])."
     assert lines[2] == "event(b,[datime(2001,1,1,0,0,0,2),datime(2001,1,1,0,0,0,2)])."
 
 
-def test_invalid_clock_is_an_error(run: Any) -> None:
-    status, _, error = run("--clock", "monday", stream="event(a).")
+def test_invalid_clock_is_an_error(run_events: Any) -> None:
+    status, _, error = run_events("--clock", "monday", stream="event(a).")
     assert status == 1
     assert "--clock monday: expected datime" in error
 
@@ -195,9 +179,9 @@ def test_invalid_clock_is_an_error(run: Any) -> None:
 # ---- errors ---------------------------------------------------------------------------------------------
 
 
-def test_rule_file_with_errors_is_not_active(run: Any) -> None:
+def test_rule_file_with_errors_is_not_active(run_events: Any) -> None:
     rules = "a <- b ntimes zero.\nc <- (d.\ne <- f.\ng <- h cnott i.\n"
-    status, lines, error = run(rules=rules, stream="event(f,[1,1]).")
+    status, lines, error = run_events(rules=rules, stream="event(f,[1,1]).")
     assert (status, lines) == (1, ["event(f,[1,1])."])
     assert error.count("error: ") == 3
     for line in (1, 2, 4):
@@ -218,15 +202,15 @@ def test_rule_file_with_errors_is_not_active(run: Any) -> None:
         ("event(a,[1,1])", "4:1"),
     ],
 )
-def test_error_in_stream_does_not_stop_others(run: Any, text: str, position: str) -> None:
-    status, lines, error = run(stream=f"event(before,[1,1]).\n{text}\n\nevent(after,[1,1]).\n")
+def test_error_in_stream_does_not_stop_others(run_events: Any, text: str, position: str) -> None:
+    status, lines, error = run_events(stream=f"event(before,[1,1]).\n{text}\n\nevent(after,[1,1]).\n")
     assert (status, lines) == (1, ["event(before,[1,1]).", "event(after,[1,1])."])
     assert f"stream.txt:{position}" in error
 
 
-def test_event_unlike_declaration_is_refused(run: Any) -> None:
+def test_event_unlike_declaration_is_refused(run_events: Any) -> None:
     rules = ":- event smoke(room:atom).\n" + RULES.replace("seq heat(X) ", "")
-    status, lines, error = run(
+    status, lines, error = run_events(
         rules=rules, stream="event(smoke(a),[1,1]).\nevent(smoke(7),[2,2]).\nevent(smoke,[3,3]).\n"
     )
     assert (status, lines) == (1, ["event(smoke(a),[1,1]).", "event(alarm(a),[1,1])."])
@@ -240,20 +224,22 @@ def test_event_unlike_declaration_is_refused(run: Any) -> None:
     )
 
 
-def test_error_in_condition_is_reported(run: Any) -> None:
+def test_error_in_condition_is_reported(run_events: Any) -> None:
     rules = "x <- a where 1 < foo.\ny <- a.\n"
-    status, lines, error = run(rules=rules, stream="event(a,[1,1]).")
+    status, lines, error = run_events(rules=rules, stream="event(a,[1,1]).")
     assert (status, lines) == (1, ["event(a,[1,1]).", "event(y,[1,1])."])
     assert "rules.txt:1" in error
 
 
-def test_failed_goal_is_an_error_with_position(run: Any) -> None:
-    status, lines, error = run(goals="true\nfail\n", stream="event(a,[1,1]).")
+def test_failed_goal_is_an_error_with_position(run_events: Any) -> None:
+    status, lines, error = run_events(goals="true\nfail\n", stream="event(a,[1,1]).")
     assert (status, lines) == (1, ["event(a,[1,1])."])
     assert "goals.txt:2:1" in error
 
 
-def test_missing_files_are_errors(run: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_missing_files_are_errors(
+    run_events: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     missing, output = tmp_path / "no.txt", tmp_path / "no" / "no.txt"
     assert main(["events", "--rules", str(missing)]) == 1
     assert main(["events", "--stream", str(missing)]) == 1
@@ -275,9 +261,9 @@ def test_stream_in_other_encoding_is_an_error(tmp_path: Path, capsys: pytest.Cap
 # ---- JSON -----------------------------------------------------------------------------------------------
 
 
-def test_json_has_object_per_record(run: Any, tmp_path: Path) -> None:
+def test_json_has_object_per_record(run_events: Any, tmp_path: Path) -> None:
     goals = MEMORY + "\nsubscribe(a(X),[],X,t,i)\n"
-    status, lines, _ = run(
+    status, lines, _ = run_events(
         "--json",
         "--memory-events",
         "--explain",
@@ -302,141 +288,17 @@ def test_json_has_object_per_record(run: Any, tmp_path: Path) -> None:
     assert json.loads((tmp_path / "outputs.out").read_text()) == output
 
 
-# ---- explanations ---------------------------------------------------------------------------------------
-
-
-def explanation_lines(run: Any, event: str, rules: str, stream: str) -> List[Any]:
-    """Return the lines of the explanation of an event."""
-    status, lines, error = run("--explain", event, rules=rules, stream=stream)
-    assert error == ""
-    assert status == 0
-    return [line[2:] for line in lines if line.startswith("% ")]
-
-
-STREAM = (
-    "event(smoke(hall),[1,1]).\nevent(heat(hall),[2,2]).\nevent(smoke(lab),[3,3]).\nevent(heat(lab),[4,4]).\n"
-)
-TWO_RULES = RULES + "evacuate(X) do true <- alarm(X) fnot drill.\n"
-
-
-def test_explanation_reaches_input_events(run: Any) -> None:
-    lines = explanation_lines(run, "evacuate(hall)", TWO_RULES, STREAM)
-    assert lines[0] == "evacuate(hall) happened"
-    assert [line.split(" by ")[0].rstrip() for line in lines[1:]] == [
-        "  evacuate(hall) [1,2]",
-        "    alarm(hall) [1,2]",
-        "      smoke(hall) at 1 came from outside",
-        "      heat(hall) at 2 came from outside",
-    ]
-    assert lines[1].endswith("rules.txt:2)")
-
-
-def test_patterns_and_intervals_are_explained(run: Any) -> None:
-    assert explanation_lines(run, "alarm(X)", RULES, STREAM)[1].startswith("  alarm(hall) [1,2] by rule")
-    assert explanation_lines(run, "event(alarm(X),[1,2])", RULES, STREAM)[0].endswith(" happened")
-    lines = explanation_lines(run, "event(alarm(X),[1,3])", RULES, STREAM)
-    assert lines[0].endswith("did not happen")
-    assert "    - but no match has that interval" in lines
-
-
-@pytest.mark.parametrize(
-    ("rule", "reason"),
-    [
-        ("x <- smoke(hall) seq gas.", "- gas: did not happen"),
-        (
-            "x <- heat(hall) seq smoke(hall).",
-            "- seq: none of the first ended before one of the second started",
-        ),
-        ("x <- smoke(A) during heat(A).", "- during: none of the first lies within one of the second"),
-        ("x <- smoke(hall) and heat(lab) where fail.", "- where fail: false "),
-        ("x <- (smoke(hall) seq heat(lab)) within 2.", "- within 2: all took longer"),
-        ("x <- (smoke(hall) seq heat(lab)) cnot smoke(lab).", "- cnot: ruled out by what must not happen"),
-        ("x <- heat(hall) fnot smoke(_).", "- cnot or fnot: ruled out by what must not happen"),
-        ("x <- smoke(A) equals heat(A).", "- equals: no two of them have the same interval"),
-        ("x <- gas or oil.", "- or: no branch matched"),
-        ("x <- smoke(garage) seq heat(hall) star_times.", "- star_times: it did not start"),
-        ("x <- heat(lab) seq aggregate(max(X),smoke(X),_).", "- max: nothing was collected"),
-        ("x <- heat(lab) check (t1(S), S = 9).", "- check t1(S),S = 9: false at 4"),
-        ("x <- smoke(hall) do fail.", "- but other matches consumed the events"),
-        (
-            "l([property(window, 2)]) : x <- smoke(hall) and heat(lab).",
-            "- but all matches exceed the window of the rule's label, 2 seconds",
-        ),
-        (
-            "x <- y(9). y(N) <- smoke(hall) seq aggregate(count,heat(_),N).",
-            "- count: other results: 0 at 1; 1 [1,2]; 2 [1,4]",
-        ),
-        ("x <- y. y <- smoke(hall) where fail.", "- where fail: false "),
-    ],
-)
-def test_missing_event_has_reason(run: Any, rule: str, reason: str) -> None:
-    lines = explanation_lines(run, "x", rule + "\n", STREAM)
-    assert lines[0] == "x did not happen"
-    assert any(line.lstrip().startswith(reason) for line in lines), lines
-
-
-def test_unknown_event_is_explained(run: Any) -> None:
-    lines = explanation_lines(run, "flood(hall)", RULES, STREAM)
-    assert lines[1].strip() == "no rule has such a head, and no such event came from outside"
-
-
-def test_recursive_rule_is_explained_once(run: Any) -> None:
-    lines = explanation_lines(run, "x", "x <- x seq y.\n", STREAM)
-    assert sum("rule x" in line for line in lines) == 1
-
-
-def test_explanation_does_not_change_events(run: Any) -> None:
-    events = run(rules=TWO_RULES, stream=STREAM)[1]
-    lines = run("--explain", "alarm(_)", rules=TWO_RULES, stream=STREAM)[1]
-    assert len(events) == 6
-    assert [line for line in lines if not line.startswith("%")] == events
-
-
-@pytest.mark.parametrize("event", ["X", "3", "event(a,[1])", "event(a,[1,b])", "a(b"])
-def test_explanation_of_non_event_is_an_error(run: Any, event: str) -> None:
-    status, lines, error = run("--explain", event, stream=STREAM)
-    assert (status, len(lines)) == (1, 4)
-    assert error.startswith("error: ")
-
-
-def test_retracted_event_is_explained(run: Any) -> None:
-    rules = ":- set_etalis_flag(revision_flag, on).\n" + RULES
-    stream = STREAM + "event(rev(smoke(hall)),[9,9]).\n"
-    lines = explanation_lines(run, "alarm(hall)", rules, stream)
-    assert lines[0].endswith("did not happen")
-    assert "  alarm(hall) [1,2] was retracted" in lines
-    assert explanation_lines(run, "rev(alarm(_))", rules, stream)[1:] == [
-        "  rev(alarm(hall)) at 9 retracts",
-        "    alarm(hall) [1,2]",
-    ]
-
-
-def test_events_of_queries_and_goals_are_explained(run: Any) -> None:
-    rules = "synchronized(pose(X), true, []) <- b(X).\nnull do new_event(made(X), [1,1]) <- pose(X).\n"
-    lines = explanation_lines(run, "made(3)", rules, "event(b(3),[2,2]).\n")
-    texts = [line.split(" by")[0].strip() for line in lines[1:]]
-    assert texts[:2] == ["made(3) at 1", "pose(3) at 2 was released"]
-    assert texts[-1] == "b(3) at 2 came from outside"
-
-
-def test_explanation_has_variable_names_of_rule(run: Any) -> None:
-    lines = explanation_lines(run, "x(_)", "x(Y) <- z(X) seq smoke(Y) where Y = X.\n", STREAM)
-    assert lines[1].startswith("  rule x(Y) <- z(X) seq smoke(Y) where Y = X (")
-    assert [line.strip().split(":")[0] for line in lines[2:]] == [
-        "? where Y = X",
-        "- seq",
-        "- z(X)",
-        "+ smoke(Y)",
-    ]
-
-
 # ---- standard input -------------------------------------------------------------------------------------
 
 
-def test_term_may_span_several_lines(run: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_term_may_span_several_lines(run_events: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     text = "/* dots. in\n a comment. */ event(a,\n [1,\n  1]). event(b,[2,2]). event('c.\\\nd'\n,[3,3]).\n"
     monkeypatch.setattr("sys.stdin", io.StringIO(text))
-    assert run("--stream", "-") == (0, ["event(a,[1,1]).", "event(b,[2,2]).", "event('c.d',[3,3])."], "")
+    assert run_events("--stream", "-") == (
+        0,
+        ["event(a,[1,1]).", "event(b,[2,2]).", "event('c.d',[3,3])."],
+        "",
+    )
 
 
 def test_event_is_printed_before_next_line(tmp_path: Path) -> None:
@@ -483,7 +345,7 @@ def test_missing_options_are_a_usage_error(capsys: pytest.CaptureFixture[str]) -
 
 
 def test_stream_goals_open_files_of_allowed_folders(
-    run: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    run_events: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for name in ("here", "data", "out", "program"):
         (tmp_path / name).mkdir()
@@ -493,12 +355,12 @@ def test_stream_goals_open_files_of_allowed_folders(
     (tmp_path / "data" / "more.pl").write_text("p(2).")
     stream = "consult(more).\nconsult('../data/more').\nevent(a,[1,1]).\n"
     rules = ("--rules", str(tmp_path / "program" / "rules.txt"))
-    status, lines, errors = run(*rules, stream=stream, queries="p(X)\n")
+    status, lines, errors = run_events(*rules, stream=stream, queries="p(X)\n")
     assert (status, lines) == (1, ["event(a,[1,1]).", "p(1)."])
     assert "stream.txt:2:1: No permission to open source_sink" in errors
     assert "persistent events could not be written" in errors
     folders = ("--folder", str(tmp_path / "data"), "--write-folder", str(tmp_path / "out"))
-    status, lines, errors = run(*rules, *folders, stream=stream, queries="p(X)\n")
+    status, lines, errors = run_events(*rules, *folders, stream=stream, queries="p(X)\n")
     assert (status, lines, errors) == (0, ["event(a,[1,1]).", "p(1).", "p(2)."], "")
     assert (tmp_path / "out" / "persistent.txt").read_text() == "event(a,[1,1]).\n"
     assert list((tmp_path / "here").iterdir()) == []
@@ -561,9 +423,9 @@ def test_missing_rule_file_ends_command(tmp_path: Path, capsys: pytest.CaptureFi
     assert captured.err == f"retalis: cannot read {tmp_path}/none.txt: No such file or directory\n"
 
 
-def test_decreasing_stamps_are_reported_once(run: Any) -> None:
+def test_decreasing_stamps_are_reported_once(run_events: Any) -> None:
     stream = "event(a(1),[50,50]).\nevent(a(2),[39,39]).\nevent(a(3),[60,60]).\nevent(a(4),[10,49]).\n"
-    status, lines, errors = run(stream=stream)
+    status, lines, errors = run_events(stream=stream)
     assert (status, len(lines)) == (0, 4)
     assert "stream.txt:2:1: the stream goes back in time here: " in errors
     assert errors.count("goes back in time here") == 2
@@ -578,13 +440,13 @@ def test_decreasing_stamps_are_reported_once(run: Any) -> None:
         "event(a).\nevent(b).\n",
     ],
 )
-def test_usual_order_of_stamps_is_not_reported(run: Any, stream: str) -> None:
-    assert run(stream=stream)[2] == ""
+def test_usual_order_of_stamps_is_not_reported(run_events: Any, stream: str) -> None:
+    assert run_events(stream=stream)[2] == ""
 
 
-def test_all_output_has_relative_times(run: Any) -> None:
+def test_all_output_has_relative_times(run_events: Any) -> None:
     stream = "event(smoke(a),[100,100]).\nevent(heat(a),[102,103.5]).\nevent(late,[99,100.5]).\n"
-    lines = run("--times", "relative", "--explain", "alarm(a)", rules=RULES, stream=stream)[1]
+    lines = run_events("--times", "relative", "--explain", "alarm(a)", rules=RULES, stream=stream)[1]
     assert lines[:4] == [
         "event(smoke(a),[0.0,0.0]).",
         "event(heat(a),[2.0,3.5]).",
@@ -593,44 +455,44 @@ def test_all_output_has_relative_times(run: Any) -> None:
     ]
     assert "% alarm(a) happened" in lines
     assert not any("100" in line for line in lines)
-    records = map(json.loads, run("--times", "relative", "--json", rules=RULES, stream=stream)[1])
+    records = map(json.loads, run_events("--times", "relative", "--json", rules=RULES, stream=stream)[1])
     times = [(record["start"], record["end"]) for record in records]
     assert times == [(0, 0), (2 * 10**9, 35 * 10**8), (0, 35 * 10**8), (0, 5 * 10**8)]
 
 
-def test_absent_event_with_similar_name_is_reported(run: Any) -> None:
-    *_, errors = run(rules="hot(M) <- tmep(M, _).", stream="event(temp(a, 40), [1, 1]).")
+def test_absent_event_with_similar_name_is_reported(run_events: Any) -> None:
+    *_, errors = run_events(rules="hot(M) <- tmep(M, _).", stream="event(temp(a, 40), [1, 1]).")
     assert "no event tmep/2 occurred; did you mean temp/2? [RT1201]" in errors
 
 
-def test_absent_event_of_other_name_is_ignored(run: Any) -> None:
+def test_absent_event_of_other_name_is_ignored(run_events: Any) -> None:
     rules = "hot(M) <- temp(M, _). hotter(M) <- temps(M, _)."
-    assert run(rules=rules, stream="event(temp(a, 40), [1, 1]).")[2] == ""
+    assert run_events(rules=rules, stream="event(temp(a, 40), [1, 1]).")[2] == ""
 
 
 OPEN_RULES = ":- state(docked(R), from(dock(R)), until(undock(R))).\nlost <- dock(_) seq absent(beat, 5).\n"
 OPEN_STREAM = "event(dock(a), [10, 10]).\nevent(dock(b), [12, 12]).\n"
 
 
-def test_flush_advances_clock_after_stream(run: Any) -> None:
-    assert not any("lost" in line for line in run(rules=OPEN_RULES, stream=OPEN_STREAM)[1])
+def test_flush_advances_clock_after_stream(run_events: Any) -> None:
+    assert not any("lost" in line for line in run_events(rules=OPEN_RULES, stream=OPEN_STREAM)[1])
     for seconds, count in (("4", 1), ("5", 2)):
-        lines = run("--flush", seconds, rules=OPEN_RULES, stream=OPEN_STREAM)[1]
+        lines = run_events("--flush", seconds, rules=OPEN_RULES, stream=OPEN_STREAM)[1]
         assert sum(line.startswith("event(lost,") for line in lines) == count, lines
 
 
-def test_open_states_are_printed_at_end(run: Any) -> None:
-    lines = run("--open", rules=OPEN_RULES, stream=OPEN_STREAM)[1]
+def test_open_states_are_printed_at_end(run_events: Any) -> None:
+    lines = run_events("--open", rules=OPEN_RULES, stream=OPEN_STREAM)[1]
     assert lines[-2:] == ["% docked(a) is open since 10", "% docked(b) is open since 12"]
-    lines = run("--open", "--times=relative", rules=OPEN_RULES, stream=OPEN_STREAM)[1]
+    lines = run_events("--open", "--times=relative", rules=OPEN_RULES, stream=OPEN_STREAM)[1]
     assert lines[-1] == "% docked(b) is open since 2.0"
-    lines = run("--open", "--json", rules=OPEN_RULES, stream=OPEN_STREAM)[1]
+    lines = run_events("--open", "--json", rules=OPEN_RULES, stream=OPEN_STREAM)[1]
     assert lines[-1] == '{"open": "docked(b)", "start": 12000000000}'
 
 
-def test_relative_times_are_rounded_once(run: Any) -> None:
+def test_relative_times_are_rounded_once(run_events: Any) -> None:
     stream = "event(a, [1.0, 1.0]).\nevent(b, [1.013, 1.097]).\n"
-    lines = run("--times=relative", rules="c <- a.\n", stream=stream)[1]
+    lines = run_events("--times=relative", rules="c <- a.\n", stream=stream)[1]
     assert lines == ["event(a,[0.0,0.0]).", "event(c,[0.0,0.0]).", "event(b,[0.013,0.097])."]
 
 
@@ -651,8 +513,8 @@ event(task(a), [datime(2026,1,1,0,0,14,0), datime(2026,1,1,0,0,14,0)]).
 """
 
 
-def test_open_windows_are_printed_at_end(run: Any) -> None:
-    lines = run("--open", rules=OPEN_WINDOW_RULES, stream=OPEN_WINDOW_STREAM)[1]
+def test_open_windows_are_printed_at_end(run_events: Any) -> None:
+    lines = run_events("--open", rules=OPEN_WINDOW_RULES, stream=OPEN_WINDOW_STREAM)[1]
     since = "is open since datime(2026,1,1,0,0"
     assert [line for line in lines if line.startswith("%")] == [
         f"% window every(10) of by_time(R,N) for R = a {since},10,0), with 2 elements",
@@ -667,8 +529,10 @@ def test_open_windows_are_printed_at_end(run: Any) -> None:
     ]
 
 
-def test_flushed_windows_are_not_open(run: Any) -> None:
-    lines = run("--open", "--json", "--flush", "16", rules=OPEN_WINDOW_RULES, stream=OPEN_WINDOW_STREAM)[1]
+def test_flushed_windows_are_not_open(run_events: Any) -> None:
+    lines = run_events(
+        "--open", "--json", "--flush", "16", rules=OPEN_WINDOW_RULES, stream=OPEN_WINDOW_STREAM
+    )[1]
     windows = [record for record in map(json.loads, lines) if "open_window" in record]
     start = 1767225611 * 10**9
     assert windows[:2] == [
@@ -694,9 +558,9 @@ def test_flushed_windows_are_not_open(run: Any) -> None:
     assert [window["open_window"] for window in windows[2:]] == ["every(7,events)"]
 
 
-def test_goal_output_with_json_is_on_stderr(run: Any) -> None:
+def test_goal_output_with_json_is_on_stderr(run_events: Any) -> None:
     rules = "a(X) <- b(X) where (write(seen(X)), nl).\n"
-    status, lines, errors = run("--json", rules=rules, stream="event(b(1),[1,1]).\n")
+    status, lines, errors = run_events("--json", rules=rules, stream="event(b(1),[1,1]).\n")
     assert status == 0
     assert [json.loads(line)["event"] for line in lines] == ["b(1)", "a(1)"]
     assert errors == "seen(1)\n"
@@ -721,9 +585,9 @@ def stream_with_wrong_stamps(offsets: Any) -> str:
 
 
 @pytest.mark.parametrize("offsets", [{}, {1050: 3600}, {1050: 10**9}, {1010: 60, 1100: 3600, 1101: 7200}])
-def test_command_and_engine_derive_same_events(run: Any, offsets: Dict[Any, Any]) -> None:
+def test_command_and_engine_derive_same_events(run_events: Any, offsets: Dict[Any, Any]) -> None:
     stream = stream_with_wrong_stamps(offsets)
-    _, lines, _ = run(rules=AHEAD_RULES, goals="timer(beat, every(10)).\n", stream=stream)
+    _, lines, _ = run_events(rules=AHEAD_RULES, goals="timer(beat, every(10)).\n", stream=stream)
     engine, outputs = Engine(), []
     engine.on_event(lambda term, start, end: outputs.append(f"{engine.show(term)} {start} {end}"))
     engine.load(rules=AHEAD_RULES, goals="timer(beat, every(10)).")
@@ -743,10 +607,10 @@ hot(T) <- heat(T) where (ros_param('/limit', Limit), T > Limit).
 ANSWERS = "services: [{name: /dock, reply: {success: true}, delay: 2}]\nparameters: {/limit: 40}\n"
 
 
-def test_calls_have_answers_of_file(run: Any) -> None:
+def test_calls_have_answers_of_file(run_events: Any) -> None:
     """A delayed answer is an event between those of the stream, or within the time of ``--flush``."""
     stream = "event(press, [1,1]).\nevent(heat(41), [5,5]).\nevent(press, [6,6]).\n"
-    status, lines, errors = run("--flush", "3", rules=CALLING_RULES, stream=stream, answers=ANSWERS)
+    status, lines, errors = run_events("--flush", "3", rules=CALLING_RULES, stream=stream, answers=ANSWERS)
     assert (status, errors) == (0, "")
     assert [line for line in lines if not line.startswith("event(service")] == [
         "event(press,[1,1]).",
@@ -758,19 +622,19 @@ def test_calls_have_answers_of_file(run: Any) -> None:
     ]
 
 
-def test_empty_answers_are_none(run: Any) -> None:
+def test_empty_answers_are_none(run_events: Any) -> None:
     rules = f"{CALLING_RULES}failed(R) <- service_failed(_, d, R)."
     arguments = {"rules": rules, "stream": "event(heat(41), [1,1]).\nevent(press, [2,2]).\n"}
-    _, lines, errors = run("--flush", "1", answers="parameters: {}\nservices: []\n", **arguments)
+    _, lines, errors = run_events("--flush", "1", answers="parameters: {}\nservices: []\n", **arguments)
     assert "ros_param" not in errors
     assert lines[-1].startswith("event(failed('no answer is prepared for this call')")
-    _, _, errors = run("--flush", "1", answers="services: []\n", **arguments)
+    _, _, errors = run_events("--flush", "1", answers="services: []\n", **arguments)
     assert (
         "ros_param: there is no parameter /limit: parameters are read only in a node: use --answers" in errors
     )
 
 
-def test_call_within_flush_has_time_of_its_alarm(run: Any) -> None:
+def test_call_within_flush_has_time_of_its_alarm(run_events: Any) -> None:
     rules = f"press <- start seq absent(stop, 2). {CALLING_RULES}called <- service_call(_, d, _)."
-    _, lines, _ = run("--flush", "10", rules=rules, stream="event(start, [1,1]).\n")
+    _, lines, _ = run_events("--flush", "10", rules=rules, stream="event(start, [1,1]).\n")
     assert "event(called,[3,3])." in lines

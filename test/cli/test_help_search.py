@@ -4,7 +4,7 @@ import json
 from typing import Any, List
 
 import pytest
-from source import ROOT
+from parsed_sources import ROOT
 
 from retalis.cli import help_search
 from retalis.cli.command_line import main

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any, Iterator
 
 import pytest
-from bags_and_program import make_bag, make_program
+from many_bags_program import make_bag, make_program
 
 from retalis.cli.bag_tasks import BagOutcome
 from retalis.cli.command_line import main

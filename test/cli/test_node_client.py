@@ -6,7 +6,7 @@ from typing import Any, Dict, Iterator, Tuple
 import pytest
 from cli.memory_client import MemoryClient, read_message_fields, read_service_fields
 from node.memory_transport import MemoryNetwork, MemoryTransport
-from source import ROOT
+from parsed_sources import ROOT
 
 from retalis import UsageError
 from retalis.cli.node_client import (

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any, Dict, List
 
 import pytest
-from bags_and_program import make_bag, make_program
+from many_bags_program import make_bag, make_program
 
 from retalis.cli.command_line import main, version
 from retalis.cli.result_manifest import (

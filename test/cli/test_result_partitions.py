@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any, List
 
 import pytest
-from bags_and_program import make_bag, make_program
+from many_bags_program import make_bag, make_program
 
 from retalis import UsageError
 from retalis.cli.command_line import main

@@ -7,7 +7,7 @@ from typing import List, Tuple
 import pytest
 from hypothesis import assume, given, reject, settings
 from hypothesis import strategies as st
-from source import ROOT
+from parsed_sources import ROOT
 
 from retalis import Operators, ProgramErrors, SyntaxFault
 from retalis.editing.formatter import format_goals, format_rules

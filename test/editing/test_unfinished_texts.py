@@ -4,7 +4,7 @@ from pathlib import Path
 
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from source import ROOT
+from parsed_sources import ROOT
 
 from retalis import Definitions
 from retalis.editing.language_features import complete, hover

@@ -31,9 +31,9 @@ from retalis.engine.checkpoints import (
 from retalis.engine.engine_snapshot import EngineSnapshot
 from retalis.serialization.codec import from_bytes, to_bytes
 
-from .checkpoint_victim import GOALS, RULES
+from .killed_checkpoint_process import GOALS, RULES
 
-VICTIM = Path(__file__).with_name("checkpoint_victim.py")
+VICTIM = Path(__file__).with_name("killed_checkpoint_process.py")
 KILLS = 6
 
 

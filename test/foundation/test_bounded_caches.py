@@ -5,7 +5,7 @@ from functools import lru_cache
 from typing import Any, Dict, Iterator, List, Union
 
 import pytest
-from source import NODES, TREES
+from parsed_sources import NODES, TREES
 
 from retalis.foundation.bounded_caches import ENTRY_BYTES, Cache, TextCache
 

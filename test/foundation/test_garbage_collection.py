@@ -11,7 +11,7 @@ from subprocess_python_path import python_path
 
 @pytest.mark.slow
 def test_collector_checks_pass_in_own_process() -> None:
-    checks = Path(__file__).with_name("collector_checks.py")
+    checks = Path(__file__).with_name("garbage_collection_checks.py")
     run = subprocess.run(
         [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", str(checks)],
         stdout=subprocess.PIPE,

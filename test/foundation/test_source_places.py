@@ -1,10 +1,12 @@
-"""Places of errors with a short part of the line."""
+"""Places of errors in texts, shown with a short part of the line."""
 
 import pytest
+from asserting_accessors import required
 
-from retalis import Place
+from retalis import Operators, Place
 from retalis.foundation.displayed_text import MAX_SHOWN_CHARACTERS
 from retalis.foundation.source_places import place_at_column, place_at_offset
+from retalis.prolog.syntax.term_reader import read_program
 
 
 @pytest.mark.parametrize(
@@ -28,3 +30,10 @@ def test_caret_is_below_column_of_shown_part(length: int, column: int) -> None:
 
 def test_place_shows_short_line_completely() -> None:
     assert Place("file", 1, 3, "a\tb").context() == "a\tb\n \t^"
+
+
+@pytest.mark.slow
+def test_error_in_long_line_is_short() -> None:
+    (fault,) = read_program("f(" + "a," * 100_000 + "b c).", Operators.prolog(), "file")
+    assert required(fault.place).column == 200_005
+    assert len(str(fault)) < 1000

@@ -16,7 +16,7 @@ INPUTS = {
     "states": 400,
     "checkpoints": 400,
     "ros2": 4000,
-    "tables": 200,
+    "incremental_tabling": 200,
     "bags": 8000,
     "hostile_names": 10_000,
     "goals": 10_000,

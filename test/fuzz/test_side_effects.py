@@ -82,7 +82,7 @@ def test_input_file_is_replayed(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_number_determines_input() -> None:
-    first, second = Campaign("texts", 3), Campaign("texts", 3)
+    first, second = Campaign("program_texts", 3), Campaign("program_texts", 3)
     first.run(200, 1)
     second.run(200, 2)
     assert (first.done, first.accepted_count, first.refused_count) == (

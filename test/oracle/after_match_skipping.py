@@ -6,7 +6,7 @@ Comments name the section of the language's definition that the code next to the
 from typing import Any, Set, Union
 
 from .matches import Event, Match
-from .patterns import Rule
+from .pattern_classes import Rule
 
 
 class Skipping:

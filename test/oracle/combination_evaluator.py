@@ -19,9 +19,9 @@ from retalis import Term
 from retalis.prolog.terms.term_traversal import copy
 
 from .evaluator import instant_of
-from .goals import first, instance, show
+from .goal_evaluator import first, instance, show
 from .matches import Event, Match
-from .patterns import (
+from .pattern_classes import (
     NEGATIONS,
     STREAMED,
     Aggregate,

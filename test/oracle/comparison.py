@@ -17,8 +17,8 @@ from retalis.events.matches import interval_index, match_buffer
 from retalis.prolog.terms.timestamps import SECOND
 
 from . import retraction
-from .goals import show
-from .patterns import NO_PROPERTIES, Pattern, Rule
+from .goal_evaluator import show
+from .pattern_classes import NO_PROPERTIES, Pattern, Rule
 from .strategies import Case, random_case
 
 REFUSED = (

@@ -53,7 +53,7 @@ from retalis.events.streams.windows import (
 from retalis.prolog.terms.timestamps import SECOND
 
 from .comparison import difference
-from .patterns import Awaited, Shaped, Windowed, pattern_variables, walk
+from .pattern_classes import Awaited, Shaped, Windowed, pattern_variables, walk
 from .strategies import Generator, random_case
 
 Detection = Callable[[int], Optional[bool]]

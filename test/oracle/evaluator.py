@@ -14,9 +14,9 @@ from retalis import Term, functor
 from retalis.prolog.terms.term_traversal import copy
 
 from .after_match_skipping import Skipping
-from .goals import first, instance, show
+from .goal_evaluator import first, instance, show
 from .matches import POLICIES, Event, Gap, Match
-from .patterns import (
+from .pattern_classes import (
     NEGATIONS,
     STREAMED,
     Aggregate,
@@ -39,7 +39,7 @@ from .patterns import (
     walk,
 )
 from .rule_conditions import Test, all_solutions
-from .streams import Streams
+from .stream_operators import Streams
 
 Fit = Callable[[Match, Match], Optional[Match]]
 """Test of a pair: returns the match of the two sides, or None."""

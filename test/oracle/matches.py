@@ -10,7 +10,7 @@ from typing import Any, Callable, Dict, FrozenSet, List, NamedTuple, Optional, T
 from retalis import Term, make_list
 from retalis.prolog.terms.types import NIL
 
-from .goals import Bindings, quotient, show
+from .goal_evaluator import Bindings, quotient, show
 
 POLICIES = ("recent", "recent_2", "chronological", "chronological_2", "unrestricted")
 

@@ -15,8 +15,8 @@ from retalis.prolog.syntax.term_reader import ReadTerm, read_program, read_term
 from retalis.prolog.terms.list_terms import conjuncts
 from retalis.prolog.terms.timestamps import SECOND, from_term
 
-from .goals import show
-from .patterns import Check, Do, Multiply, Rule, Where, walk
+from .goal_evaluator import show
+from .pattern_classes import Check, Do, Multiply, Rule, Where, walk
 from .rule_notation import pattern_of
 
 SOLVED = frozenset("true fail false = \\= == \\== < > =< >= =:= =\\= is member \\+ t1 t2".split())  # noqa: SIM905

@@ -6,9 +6,9 @@ from typing import Any, Dict, List, Optional, Set, Tuple
 from retalis import Var
 from retalis.prolog.terms.term_traversal import variables
 
-from .goals import Bindings, GoalError, instance, number, unbound, unify
+from .goal_evaluator import Bindings, GoalError, instance, number, unbound, unify
 from .matches import EMPTY_RESULTS, NUMERIC, RESULTS, Gap, Match, Run
-from .patterns import Aggregate, Pattern, Rule, Star, Within, Without, pattern_variables
+from .pattern_classes import Aggregate, Pattern, Rule, Star, Within, Without, pattern_variables
 from .rule_conditions import Conditions
 
 

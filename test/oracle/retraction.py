@@ -23,9 +23,9 @@ from retalis.prolog.terms.term_traversal import copy
 from .combination_evaluator import Combinations, TimedMatch, has_outer_absence
 from .combination_evaluator import defined_for as defined_without_state
 from .evaluator import NOTHING, Fit, RuleState, Sides
-from .goals import first, instance, show
+from .goal_evaluator import first, instance, show
 from .matches import Event, Match, Run
-from .patterns import (
+from .pattern_classes import (
     NEGATIONS,
     STREAMED,
     Aggregate,

@@ -9,7 +9,7 @@ from typing import Any, Callable, Iterator, List, NamedTuple, Optional, Sequence
 
 from retalis import Atom, Term, Var, atom, list_items, make_list
 
-from .goals import Bindings, first, instance, number, value_of
+from .goal_evaluator import Bindings, first, instance, number, value_of
 from .matches import EMPTY_RESULTS, RESULTS
 
 Assignment = Tuple[Tuple[int, int], ...]

@@ -9,9 +9,9 @@ from typing import Any, Callable, Dict, Iterable, List, Optional, Set
 from retalis import Term, Var
 from retalis.prolog.terms.term_traversal import copy, variables
 
-from .goals import Bindings, GoalError, first, instance, merge, show, solve, unbound, unify
+from .goal_evaluator import Bindings, GoalError, first, instance, merge, show, solve, unbound, unify
 from .matches import Event, Gap, Match, Pending
-from .patterns import (
+from .pattern_classes import (
     NEGATIONS,
     STREAMED,
     Check,

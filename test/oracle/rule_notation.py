@@ -14,8 +14,8 @@ from events.operator_table import AGGREGATES, INSTANTS, PAIRS
 
 from retalis import Term, Var, atom, functor, list_items, make_list
 
-from .goals import show
-from .patterns import (
+from .goal_evaluator import show
+from .pattern_classes import (
     NEGATIONS,
     WINDOWS,
     Aggregate,

@@ -18,9 +18,9 @@ from retalis.prolog.terms.term_traversal import variables
 from retalis.prolog.terms.types import NIL
 
 from .evaluator import run
-from .goals import show
+from .goal_evaluator import show
 from .matches import POLICIES, RESULTS
-from .patterns import (
+from .pattern_classes import (
     HELD,
     HELD_KINDS,
     NEGATIONS,

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import HealthCheck, assume, given, reject, settings
 from oracle.combination_evaluator import defined_for, firings
 from oracle.evaluator import Program
-from oracle.goals import show
+from oracle.goal_evaluator import show
 from oracle.strategies import cases
 
 

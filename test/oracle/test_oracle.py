@@ -9,11 +9,11 @@ from typing import Any, Dict
 
 import pytest
 from oracle.evaluator import run
-from oracle.goals import GoalError, number
+from oracle.goal_evaluator import GoalError, number
 from oracle.matches import POLICIES, Match
-from oracle.patterns import Awaited, Leaf
+from oracle.pattern_classes import Awaited, Leaf
 from oracle.rule_notation import brief, rule, stream
-from oracle.streams import seconds_of
+from oracle.stream_operators import seconds_of
 
 from retalis import Operators, Var, atom
 from retalis.prolog.syntax.term_reader import read_term

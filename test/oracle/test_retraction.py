@@ -4,7 +4,7 @@ from typing import Any
 
 import pytest
 from hypothesis import HealthCheck, assume, given, settings
-from oracle.patterns import Both, Ntimes, walk
+from oracle.pattern_classes import Both, Ntimes, walk
 from oracle.retraction import combines, run_with_retraction
 from oracle.rule_notation import rule, stream
 from oracle.strategies import cases

@@ -8,7 +8,7 @@ from typing import Any, List
 
 import pytest
 from asserting_accessors import fail
-from source import ROOT
+from parsed_sources import ROOT
 from subprocess_python_path import python_path
 from worker_tasks import run_task
 

@@ -2,7 +2,7 @@
 
 import pytest
 from prolog.compilation_modes import compare
-from prolog.test_differential import recorded
+from prolog.test_recorded_swi_answers import recorded
 
 PROGRAM = """
 :- dynamic(fact/2).

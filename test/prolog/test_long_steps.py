@@ -5,7 +5,7 @@ from typing import Any, Iterator, List
 
 import pytest
 from asserting_accessors import compound
-from prolog.support import prolog
+from prolog.goal_answers import prolog
 
 from retalis import Limits, PrologError, String, Term, Var, atom, functor, make_list
 from retalis.foundation.limit_checks import set_limit_check

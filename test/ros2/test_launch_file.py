@@ -6,7 +6,7 @@ from types import ModuleType, SimpleNamespace
 from typing import Any, Dict
 
 import pytest
-from source import ROOT
+from parsed_sources import ROOT
 
 from retalis.node.parameters import PARAMETER_DESCRIPTIONS
 

@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import Any, Dict, List
 
 import pytest
-from source import ROOT
+from parsed_sources import ROOT
 
 pytest.importorskip("rclpy", reason="rclpy is not installed")
 pytest.importorskip("retalis.srv", reason="the classes of this package's services have not been generated")

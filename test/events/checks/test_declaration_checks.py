@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import Any, Dict, List
 
 import pytest
-from events.checks.program_with_mistakes import find_mistakes, write_program
+from events.checks.inserted_mistakes import find_mistakes, write_program
 
 from retalis import Definitions
 from retalis.engine.client_requests import add_rule

@@ -6,6 +6,7 @@ from typing import Any, List
 import pytest
 
 from retalis import Definitions, Engine, functor
+from retalis.engine.program_check import check_program
 from retalis.events.checks import program_model
 from retalis.events.checks.condition_checks import find_impossible_conditions
 from retalis.events.checks.event_flow_checks import find_declaration_violations
@@ -89,3 +90,10 @@ def test_names_of_program_are_not_read_for_each_rule(tmp_path: Path, check: Any)
     assert names
     list(check(program))
     assert names.read_count == 0
+
+
+def test_clause_is_not_suggested_for_its_own_call(tmp_path: Path, definitions: Definitions) -> None:
+    rules = tmp_path / "rules.txt"
+    rules.write_text("near(X) :- nearr(X).\na <- b(X) where near(X).\n")
+    (finding,) = [item for item in check_program(rules, definitions) if item.problem.code == "RT1402"]
+    assert finding.problem.message == "there is no predicate nearr/1: define it, or assert facts of it"

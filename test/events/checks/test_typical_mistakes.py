@@ -5,8 +5,8 @@ from pathlib import Path
 from typing import Any, Iterator
 
 import pytest
-from events.checks.program_with_mistakes import write_program
-from source import ROOT
+from events.checks.inserted_mistakes import write_program
+from parsed_sources import ROOT
 
 from retalis import Definitions
 from retalis.engine.program_check import check_program

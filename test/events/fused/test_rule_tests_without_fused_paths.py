@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 from events.fused.fused_path_plugin import PATHS
-from source import ROOT
+from parsed_sources import ROOT
 from subprocess_python_path import python_path
 
 WHOLE = os.environ.get("RETALIS_TEST_FUSED") == "1"

@@ -1,4 +1,4 @@
-"""Windows over values that last until the next one; `oracle.streams` defines them for random programs."""
+"""Windows over values that last until the next one; `oracle.stream_operators` defines them for random programs."""
 
 from typing import Any, List
 

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import settings as example_settings
 from hypothesis import strategies as st
-from oracle.patterns import Leaf, Rule, Windowed
+from oracle.pattern_classes import Leaf, Rule, Windowed
 from oracle.row_pattern_matches import PAST_LAST, STAMPS, decided_matches, steps_of, timed_out_match
 from oracle.rule_notation import write_rule
 from oracle.strategies import Generator

@@ -4,11 +4,11 @@ from importlib import import_module
 from typing import Any
 
 NAMES = (
-    "texts",
+    "program_texts",
     "event_texts",
     "messages",
-    "definitions",
-    "headers",
+    "message_definitions",
+    "connection_headers",
     "rules",
     "goals",
     "topic_configuration",
@@ -19,7 +19,7 @@ NAMES = (
     "states",
     "checkpoints",
     "ros2",
-    "tables",
+    "incremental_tabling",
 )
 
 

@@ -96,7 +96,7 @@ class Inputs(Kind):
     def setup(self) -> None:
         self.known = Definitions()
         self.types = {}
-        for path in sorted((CORPUS / "definitions").glob("*.msg")):
+        for path in sorted((CORPUS / "message_definitions").glob("*.msg")):
             name, _, text = path.read_text().partition("\n")
             self.types[name] = self.known.add(name, text)
         self.names = sorted(self.types)

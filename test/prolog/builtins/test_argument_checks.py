@@ -3,7 +3,7 @@
 from typing import Any
 
 import pytest
-from prolog.support import answers, prolog
+from prolog.goal_answers import answers, prolog
 
 ERRORS = {
     "X is getbit(5, -1)": "domain_error(not_less_than_zero,-1)",

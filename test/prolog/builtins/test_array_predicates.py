@@ -8,7 +8,7 @@ import pytest
 from asserting_accessors import lazy
 from hypothesis import given
 from hypothesis import strategies as st
-from prolog.support import prolog
+from prolog.goal_answers import prolog
 
 from retalis import PrologError, Var, atom, deref, functor, make_list
 from retalis.prolog.terms.array_terms import array_term

@@ -4,7 +4,7 @@ import random
 from typing import Any, Dict
 
 import pytest
-from prolog.support import answers, first, prolog
+from prolog.goal_answers import answers, first, prolog
 
 from retalis import Term, functor
 from retalis.prolog.terms.types import NIL

@@ -1,7 +1,7 @@
 """Conversion of atoms."""
 
 import pytest
-from prolog.support import answers, prolog
+from prolog.goal_answers import answers, prolog
 
 
 @pytest.mark.parametrize("text", ["' 12'", "'\\n12'", '" 12"', "'12 '", "'+ 12'"])

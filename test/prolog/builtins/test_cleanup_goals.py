@@ -1,6 +1,6 @@
 """Cleanup of goals after their last answer, an error or failure."""
 
-from prolog.support import answers, first, prolog
+from prolog.goal_answers import answers, first, prolog
 
 
 def test_cleanup_runs_after_last_answer_error_and_failure() -> None:

@@ -3,7 +3,7 @@
 from typing import Any
 
 import pytest
-from prolog.support import answers, nested_goal, prolog
+from prolog.goal_answers import answers, nested_goal, prolog
 
 from retalis import PrologError
 from retalis.prolog.syntax.term_reader import read_term

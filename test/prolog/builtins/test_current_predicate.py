@@ -1,7 +1,7 @@
 """Enumeration of predicates by ``current_predicate``."""
 
 import pytest
-from prolog.support import prolog
+from prolog.goal_answers import prolog
 
 from retalis.prolog.syntax.term_reader import read_term
 

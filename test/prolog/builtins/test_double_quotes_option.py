@@ -1,7 +1,7 @@
 """Options of reading terms from texts."""
 
 import pytest
-from prolog.support import first, prolog
+from prolog.goal_answers import first, prolog
 
 
 @pytest.mark.parametrize(

@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import Optional
 
 import pytest
-from prolog.support import answers, first, prolog
+from prolog.goal_answers import answers, first, prolog
 
 from retalis import Engine, Settings
 from retalis.prolog.system.prolog_system import PrologSystem

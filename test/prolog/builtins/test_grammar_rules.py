@@ -1,6 +1,6 @@
 """Grammar rules and ``phrase``."""
 
-from prolog.support import answers, first, prolog
+from prolog.goal_answers import answers, first, prolog
 
 GRAMMAR = r"""
 greeting --> [hello], name_of(_), !, {true}.

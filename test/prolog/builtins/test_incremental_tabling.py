@@ -7,7 +7,7 @@ from types import ModuleType
 from typing import Any, List
 
 import pytest
-from prolog.support import NEVER, answers, first, prolog
+from prolog.goal_answers import NEVER, answers, first, prolog
 from script_modules import load_script
 from search_rounds import search_rounds
 
@@ -515,7 +515,7 @@ def load_neighbor(name: str) -> ModuleType:
 def test_incremental_tables_equal_those_of_swi_prolog(seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
     # Restores the search path, to which the modules add their folder.
     monkeypatch.syspath_prepend(Path(__file__).parents[1])
-    differential, swipl = load_neighbor("differential"), load_neighbor("swipl")
+    swi_comparison, swipl = load_neighbor("swi_comparison"), load_neighbor("swipl")
     rng = random.Random(seed)
     tables = ", ".join(f"{name}/2" for name in _NAMES)
     head = [f":- discontiguous {tables}.", f":- table ({tables}) as incremental."]
@@ -527,13 +527,13 @@ def test_incremental_tables_equal_those_of_swi_prolog(seed: int, monkeypatch: py
             for step in range(12)
         ]
         scripts.append(", ".join([*steps, sorted_answers("s", "last")]))
-    swi_answers = differential.ask(scripts, f"{swipl.PROGRAM}\n{program}\n")
+    swi_answers = swi_comparison.ask(scripts, f"{swipl.PROGRAM}\n{program}\n")
     compared = 0
     for script, expected in zip(scripts, swi_answers):
         if expected in ("limit", "lost"):
             continue
         logic = prolog(program)
-        answer = differential.solutions(logic, read_term(script, logic.operators).term)
-        assert differential.plain(answer) == differential.plain(expected), (script, program)
+        answer = swi_comparison.solutions(logic, read_term(script, logic.operators).term)
+        assert swi_comparison.plain(answer) == swi_comparison.plain(expected), (script, program)
         compared += 1
     assert compared > len(scripts) // 2

@@ -4,7 +4,7 @@ import logging
 from typing import Any, List
 
 import pytest
-from prolog.support import answers, first, prolog
+from prolog.goal_answers import answers, first, prolog
 
 from retalis.prolog.builtins.listing_and_messages import MAX_LOGGED_CHARACTERS
 

@@ -3,7 +3,7 @@
 from typing import List
 
 import pytest
-from prolog.support import answers, first, nested_goal, prolog
+from prolog.goal_answers import answers, first, nested_goal, prolog
 
 from retalis import Limits
 from retalis.prolog.system.prolog_system import PrologSystem

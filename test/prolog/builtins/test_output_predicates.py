@@ -3,7 +3,7 @@
 from typing import Any, List
 
 import pytest
-from prolog.support import answers, first, prolog
+from prolog.goal_answers import answers, first, prolog
 
 
 def test_capture_of_output_ends_with_its_goal() -> None:

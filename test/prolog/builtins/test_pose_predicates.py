@@ -5,7 +5,7 @@ import random
 from typing import Any, List
 
 import pytest
-from prolog.support import answers, first, prolog
+from prolog.goal_answers import answers, first, prolog
 
 
 def quaternion_about(axis: Any, angle: float) -> Any:

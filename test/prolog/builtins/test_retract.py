@@ -2,7 +2,7 @@
 
 from typing import Any, List
 
-from prolog.support import answers, prolog
+from prolog.goal_answers import answers, prolog
 
 
 def test_retract_enumerates_clauses_of_call_time() -> None:

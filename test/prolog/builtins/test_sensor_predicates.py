@@ -29,7 +29,7 @@ from retalis.prolog.builtins import sensor_predicates  # noqa: E402
 from retalis.prolog.system.prolog_system import PrologSystem  # noqa: E402
 from retalis.prolog.terms import byte_texts  # noqa: E402
 
-from ..support import answers, prolog, show  # noqa: E402
+from ..goal_answers import answers, prolog, show  # noqa: E402
 
 DEFINITIONS = Definitions()
 LOGIC = PrologSystem()

@@ -5,8 +5,8 @@ from functools import cmp_to_key
 from typing import List
 
 import pytest
+from prolog.goal_answers import answers, first, prolog
 from prolog.random_terms import random_term
-from prolog.support import answers, first, prolog
 
 from retalis import Var, make_list
 from retalis.prolog.builtins.list_predicates import sort_by, sort_terms, sort_unique

@@ -3,7 +3,7 @@
 from typing import Any
 
 import pytest
-from prolog.support import answers, prolog
+from prolog.goal_answers import answers, prolog
 
 
 @pytest.mark.parametrize(

@@ -5,7 +5,7 @@ from collections import Counter
 from typing import Any, Dict
 
 import pytest
-from prolog.support import answers, first, prolog
+from prolog.goal_answers import answers, first, prolog
 
 from retalis import Limits
 from retalis.prolog.builtins.tabling import tables_of

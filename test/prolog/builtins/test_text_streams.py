@@ -5,7 +5,7 @@ from typing import Any, List, Tuple
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from prolog.support import answers, first, prolog
+from prolog.goal_answers import answers, first, prolog
 from recorded_calls import recording
 
 from retalis import Operators, String, SyntaxFault, atom

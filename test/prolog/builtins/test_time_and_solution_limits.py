@@ -1,6 +1,6 @@
 """Limits of the time and of the solutions of goals."""
 
-from prolog.support import answers, prolog
+from prolog.goal_answers import answers, prolog
 
 
 def test_time_limit_ends_goal_and_its_alarm() -> None:

@@ -1,7 +1,7 @@
 """Predicates of timestamps."""
 
 import pytest
-from prolog.support import answers, first, prolog
+from prolog.goal_answers import answers, first, prolog
 
 TIMESTAMPS = [
     ("convert_to_datime([10,5], X)", "datime(1970,1,1,0,0,10.0,5)"),

@@ -3,7 +3,7 @@
 from typing import Any, List
 
 import pytest
-from prolog.support import answers, first, prolog
+from prolog.goal_answers import answers, first, prolog
 
 from retalis.prolog.system.prolog_system import PrologSystem
 

@@ -4,7 +4,7 @@ from random import Random
 from typing import Any, Iterator, List
 
 import pytest
-from prolog.support import NEVER, answers, prolog
+from prolog.goal_answers import NEVER, answers, prolog
 
 from retalis.prolog.machine.machine import Machine
 

@@ -5,7 +5,7 @@ import signal
 from typing import Any, List
 
 import pytest
-from prolog.support import NEVER, answers, prolog
+from prolog.goal_answers import NEVER, answers, prolog
 
 VARS = ["X", "Y", "Z", "U", "V"]
 CONSTANTS = ["a", "b", "1", "2", "[]", "1.5", '"s"']

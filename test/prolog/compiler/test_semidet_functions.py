@@ -6,7 +6,7 @@ from typing import Any, Iterator, List, Tuple
 import pytest
 from asserting_accessors import required
 from prolog.compiler.test_predicate_code import term
-from prolog.support import NEVER, prolog, show
+from prolog.goal_answers import NEVER, prolog, show
 
 from retalis import PrologError, Var, functor
 from retalis.prolog.compiler.semidet_functions import BAIL

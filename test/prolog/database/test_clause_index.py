@@ -4,7 +4,7 @@ from random import Random
 from typing import Any, Dict, List, Optional, Tuple
 
 import pytest
-from prolog.support import NEVER, answers, prolog
+from prolog.goal_answers import NEVER, answers, prolog
 
 from retalis.prolog.database import clause_index
 from retalis.prolog.database.clause_index import Index

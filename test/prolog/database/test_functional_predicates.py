@@ -5,7 +5,7 @@ from typing import Any, Iterator, List, Tuple
 import pytest
 from asserting_accessors import name_of
 from asserting_accessors import number as number_of
-from prolog.support import NEVER, answers, prolog
+from prolog.goal_answers import NEVER, answers, prolog
 
 from retalis import PrologError, atom, deref, functor
 from retalis.prolog.machine.errors import type_error

@@ -3,7 +3,7 @@
 from typing import Any
 
 import pytest
-from prolog.support import NEVER, answers, first, prolog
+from prolog.goal_answers import NEVER, answers, first, prolog
 
 from retalis.prolog.syntax.term_reader import read_term
 

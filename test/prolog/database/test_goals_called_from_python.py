@@ -4,7 +4,7 @@ import traceback
 from typing import Any, List
 
 import pytest
-from prolog.support import answers, first, prolog
+from prolog.goal_answers import answers, first, prolog
 
 from retalis import Limits, PrologError, Var, atom, deref, functor
 from retalis.prolog.machine.machine import Code

@@ -5,7 +5,7 @@ from typing import Any, List
 
 import pytest
 from prolog.compiler.test_predicate_code import CALLS, SEEDS, program
-from prolog.support import NEVER, answers, first, prolog
+from prolog.goal_answers import NEVER, answers, first, prolog
 
 from retalis.prolog.compiler.predicate_code import PredicateGenerator
 from retalis.prolog.database import just_in_time_bodies

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from parsing import read_clauses
-from prolog.support import answers, first, prolog
+from prolog.goal_answers import answers, first, prolog
 
 from retalis.prolog.database.predicate import NEVER_COMPILE
 from retalis.prolog.system.prolog_snapshot import (

@@ -3,7 +3,7 @@
 from typing import Any, Dict, List, Tuple
 
 import pytest
-from prolog.support import answers, first, prolog
+from prolog.goal_answers import answers, first, prolog
 
 from retalis import Engine, ProgramErrors, PrologError, Var, atom, functor
 from retalis.prolog.builtins.builtin_registry import ENTRIES

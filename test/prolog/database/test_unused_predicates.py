@@ -1,7 +1,7 @@
 """Undefined and emptied predicates, which are kept only as long as something refers to them."""
 
 import pytest
-from prolog.support import answers, prolog
+from prolog.goal_answers import answers, prolog
 
 from retalis import Engine
 from retalis.prolog.database import predicate_database

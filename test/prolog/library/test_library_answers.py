@@ -5,7 +5,7 @@ from typing import Any, List
 
 import pytest
 from asserting_accessors import compound
-from prolog.support import show
+from prolog.goal_answers import show
 
 from retalis import PrologError, atom, functor, make_list
 from retalis.prolog.syntax.term_reader import read_term

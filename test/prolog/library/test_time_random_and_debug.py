@@ -3,7 +3,7 @@
 import re
 from typing import Any, List
 
-from prolog.support import answers, first, prolog
+from prolog.goal_answers import answers, first, prolog
 
 
 def test_time_reports_and_keeps_solutions() -> None:

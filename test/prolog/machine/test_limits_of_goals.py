@@ -5,7 +5,7 @@ from itertools import islice
 from typing import Any, List
 
 import pytest
-from prolog.support import first, prolog
+from prolog.goal_answers import first, prolog
 from recording_reports import RecordingReports
 
 from retalis import Engine, Limits, PrologError, Settings, UsageError, Var, atom, functor

@@ -6,7 +6,7 @@ from typing import Any, List
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from prolog.support import NEVER, answers, first, prolog
+from prolog.goal_answers import NEVER, answers, first, prolog
 
 from retalis.prolog.syntax.term_writer import write_term
 from retalis.prolog.terms import timestamps

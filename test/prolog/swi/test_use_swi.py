@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from source import ROOT
+from parsed_sources import ROOT
 from subprocess_python_path import python_path
 
 from retalis import Engine, ProgramErrors, RetalisError, Settings, UsageError

@@ -10,7 +10,7 @@ from typing import List
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "prolog"))
 
-from differential import answer, plain  # noqa: E402
+from swi_comparison import answer, plain  # noqa: E402
 from swipl import ask  # noqa: E402
 
 _ATOMS = r"""

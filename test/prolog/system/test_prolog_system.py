@@ -4,7 +4,7 @@ from typing import Any, Iterator
 
 import pytest
 from asserting_accessors import required
-from prolog.support import answers, prolog
+from prolog.goal_answers import answers, prolog
 
 from retalis import deref
 from retalis.prolog.machine.errors import type_error

@@ -3,7 +3,7 @@
 from typing import Any, List, Optional
 
 import pytest
-from prolog.support import NEVER, prolog
+from prolog.goal_answers import NEVER, prolog
 
 from retalis import Engine
 from retalis.prolog.machine.errors import PrologError

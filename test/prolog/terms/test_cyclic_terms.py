@@ -3,7 +3,7 @@
 from typing import Any, List
 
 import pytest
-from prolog.support import answers, prolog
+from prolog.goal_answers import answers, prolog
 
 from retalis import Limits, Var, functor, make_list
 from retalis.prolog.system.prolog_system import PrologSystem

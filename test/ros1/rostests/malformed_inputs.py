@@ -14,7 +14,7 @@ from std_msgs.msg import String
 
 TEST = Path(__file__).resolve().parents[2]
 sys.path += [str(TEST / "ros1"), str(TEST)]
-from fuzz.services import FIELDS, Inputs  # noqa: E402
+from fuzz.live_node_inputs import FIELDS, Inputs  # noqa: E402
 from harness import (  # noqa: E402
     TIMEOUT_SECONDS,
     Collector,

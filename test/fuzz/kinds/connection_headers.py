@@ -8,7 +8,7 @@ from retalis.messages.type_registry import InstalledTypes
 
 from ..mutate import mutate_text, to_bytes, to_text
 from .base import Kind
-from .definitions import PIECES
+from .message_definitions import PIECES
 
 FIELDS = ("type", "message_definition", "md5sum", "callerid", "topic")
 

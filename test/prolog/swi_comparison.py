@@ -1,7 +1,7 @@
 """Comparison of the answers to random goals with those of SWI-Prolog.
 
-Usage: python differential.py COUNT [SEED]      print the differences
-       python differential.py --record COUNT    write goals and SWI-Prolog's answers to goals_kinds.tsv
+Usage: python swi_comparison.py COUNT [SEED]      print the differences
+       python swi_comparison.py --record COUNT    write goals and SWI-Prolog's answers to goals_kinds.tsv
 """
 
 import random

@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """Cost of an event that completes one of many partial matches, for each operator and consumption policy.
 
-    bench/events.py [--operator NAME ...] [--policy NAME ...] [--setting NAME ...] [--least N] [--most N]
+    bench/partial_matches.py [--operator NAME ...] [--policy NAME ...] [--setting NAME ...] [--least N] [--most N]
                     [--seconds S] [--json FILE] [--from FILE ...] [--markdown]
 
 The settings determine how the partial matches differ:

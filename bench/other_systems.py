@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """Five workloads in three systems: the engine, a handwritten loop, and ROS message_filters.
 
-    bench/outside.py [--work NAME ...] [--events N] [--runs N] [--ros PYTHON] [--json FILE] [--markdown]
+    bench/other_systems.py [--work NAME ...] [--events N] [--runs N] [--ros PYTHON] [--json FILE] [--markdown]
 
     keyed    for each key, b less than a minute after a; ten thousand keys wait
     absence  the same without a c in between
@@ -29,7 +29,7 @@ HERE = Path(__file__).resolve().parent
 sys.path[:0] = [str(HERE), str(HERE.parent / "src")]
 
 from arguments import interpreter, positive, target  # noqa: E402
-from outside_sides import SIDES, STREAMS  # noqa: E402
+from other_systems_sides import SIDES, STREAMS  # noqa: E402
 
 from retalis import limit_gc_pauses  # noqa: E402
 
@@ -66,7 +66,7 @@ def compare(work: str, pythons: Dict[str, str], events: int, runs: int) -> Figur
                 continue
             command = [
                 python,
-                str(HERE / "outside.py"),
+                str(HERE / "other_systems.py"),
                 "--work",
                 work,
                 "--side",

@@ -3,8 +3,8 @@
 import re
 
 import pytest
+from parsed_sources import ROOT
 from script_modules import load_script
-from source import ROOT
 
 pytestmark = pytest.mark.docs
 tables = load_script(ROOT / "docs" / "case_file_tables.py")

@@ -1,6 +1,6 @@
 """Comparison of the answers to goals with those of the ISO standard.
 
-Usage: python conformity.py       print the differences
+Usage: python iso_conformity.py       print the differences
 """
 
 import functools

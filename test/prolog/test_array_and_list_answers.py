@@ -8,7 +8,7 @@ import pytest
 from asserting_accessors import lazy
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from prolog.support import prolog, show
+from prolog.goal_answers import prolog, show
 
 from retalis import PrologError, Var, functor, make_list
 from retalis.prolog.syntax.term_reader import read_term

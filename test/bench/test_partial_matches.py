@@ -11,7 +11,7 @@ import pytest
 
 @pytest.fixture
 def events(import_benchmark: Callable[[str], Any], monkeypatch: pytest.MonkeyPatch) -> Any:
-    module: Any = import_benchmark("events")
+    module: Any = import_benchmark("partial_matches")
     # These would collect the garbage of other tests for each figure.
     for name in ("limit_gc_pauses", "restore_gc"):
         monkeypatch.setattr(module.event_streams, name, lambda: None)

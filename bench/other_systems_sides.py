@@ -1,4 +1,4 @@
-"""Implementations of the workloads of ``bench/outside.py`` in each system.
+"""Implementations of the workloads of ``bench/other_systems.py`` in each system.
 
 An implementation prepares events and returns the function that processes them, which calls ``emit`` with the values
 of each result. It imports its packages itself, because not all of them are installed.

@@ -11,9 +11,20 @@ from retalis import Term, Var, list_items, make_list
 from retalis.prolog.terms.term_traversal import variables
 from retalis.prolog.terms.timestamps import SECOND
 
-from .goals import Bindings, GoalError, instance, number, show, solve, unbound, unify
+from .goal_evaluator import Bindings, GoalError, instance, number, show, solve, unbound, unify
 from .matches import EMPTY_RESULTS, NUMERIC, RESULTS, Event, Match
-from .patterns import HELD, Aggregate, Awaited, Both, Pattern, Preceded, Shaped, Star, Windowed, children
+from .pattern_classes import (
+    HELD,
+    Aggregate,
+    Awaited,
+    Both,
+    Pattern,
+    Preceded,
+    Shaped,
+    Star,
+    Windowed,
+    children,
+)
 from .repetition_runs import IdentifyingRepetitions
 from .row_pattern_matches import decided_matches
 from .rule_conditions import may_bind

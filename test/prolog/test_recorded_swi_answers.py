@@ -1,4 +1,4 @@
-"""Recorded answers of SWI-Prolog 9.0.4 to goals over the built-ins; ``differential.py`` asks it for more."""
+"""Recorded answers of SWI-Prolog 9.0.4 to goals over the built-ins; ``swi_comparison.py`` asks it for more."""
 
 from pathlib import Path
 from typing import Any, Dict
@@ -10,7 +10,7 @@ FOLDER = Path(__file__).parent
 DIFFERING_GOALS = FOLDER / "goals_differing.txt"
 """Goals with other answers, each after the reason."""
 
-differential = load_script(FOLDER / "differential.py")
+swi_comparison = load_script(FOLDER / "swi_comparison.py")
 
 
 def differing() -> Dict[Any, Any]:
@@ -28,7 +28,7 @@ def recorded() -> Dict[str, str]:
 
 def test_page_names_classes_of_differences() -> None:
     page = (FOLDER.parents[1] / "docs" / "explanation" / "compatibility.md").read_text(encoding="utf-8")
-    names = [difference.name for difference in differential.REASONS]
+    names = [difference.name for difference in swi_comparison.REASONS]
     assert names
     assert [name for name in names if f"| {name} |" not in page] == []
     assert set(differing().values()) <= set(names)
@@ -40,8 +40,8 @@ def test_undocumented_goals_agree_with_swi_prolog() -> None:
     assert len(rows) >= 500
     differing_answers: Dict[Any, Any] = {}
     for goal, theirs in rows.items():
-        ours = differential.answer(goal)
-        if differential.plain(ours) != differential.plain(theirs):
+        ours = swi_comparison.answer(goal)
+        if swi_comparison.plain(ours) != swi_comparison.plain(theirs):
             differing_answers[goal] = (theirs, ours)
     assert {goal: answers for goal, answers in differing_answers.items() if goal not in known} == {}
     assert sorted(set(known) - set(differing_answers)) == []

@@ -1,4 +1,4 @@
-"""Answers to requests of the page."""
+"""Answers of the dashboard that are computed in threads at the same time: their number is limited."""
 
 import asyncio
 import threading

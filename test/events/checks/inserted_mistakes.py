@@ -1,4 +1,4 @@
-"""A small program without mistakes, to which a test adds some."""
+"""A small program into which a test inserts mistakes, and the findings of a check of it."""
 
 from pathlib import Path
 from typing import List, NamedTuple

@@ -101,7 +101,7 @@ class Inputs:
     def __init__(self, seed: int = 1) -> None:
         self.seed = seed
         self.events = [to_text(data) for data in corpus("event_texts")]
-        self.headers = [json.loads(data) for data in corpus("headers") if data.startswith(b"{")]
+        self.headers = [json.loads(data) for data in corpus("connection_headers") if data.startswith(b"{")]
         self.known = Definitions()
         header = next(candidate for candidate in self.headers if candidate["type"] == "fuzz/A")
         self.definition = self.known.add("fuzz/A", header["message_definition"])

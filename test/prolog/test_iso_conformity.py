@@ -7,7 +7,7 @@ from typing import Any, Dict
 import pytest
 from script_modules import load_script
 
-conformity = load_script(Path(__file__).with_name("conformity.py"))
+iso_conformity = load_script(Path(__file__).with_name("iso_conformity.py"))
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "explanation" / "compatibility.md"
 FILES = ("goals.txt", "syntax.txt")
@@ -24,9 +24,9 @@ def exceptions() -> Dict[Any, Any]:
 def answers() -> Any:
     results: Dict[Any, Any] = {}
     for file in FILES:
-        program = conformity.clauses(file)
-        for case in conformity.cases(file):
-            results[case] = conformity.agrees(case, program)
+        program = iso_conformity.clauses(file)
+        for case in iso_conformity.cases(file):
+            results[case] = iso_conformity.agrees(case, program)
     return results
 
 
