@@ -29,11 +29,10 @@ GC_THRESHOLDS = (700, 10, 100)
 
 
 class FrozenCollector:
-    """The garbage collector for commands in the process of the tests, without collecting, freezing and unfreezing.
+    """The garbage collector for commands in the process of the tests, which does not collect.
 
-    `limit_gc_pauses` collects all garbage twice, and undoing it unfreezes the million objects of the tests' modules.
-    Each command would visit these objects, which takes a second for work of 0.05 s. Settings and callbacks are those
-    of the process. The tests of the garbage collector use the real one.
+    `limit_gc_pauses` collects all garbage. Each command would visit the objects of the tests, which takes longer than
+    its work. The settings are those of the process. The tests of the garbage collector use the real one.
     """
 
     def __getattr__(self, name: Any) -> Any:
@@ -41,11 +40,6 @@ class FrozenCollector:
 
     def collect(self) -> int:
         return 0
-
-    def freeze(self) -> None:
-        pass
-
-    unfreeze = freeze
 
 
 # The module has no other place for a replacement that is in effect before the first command of any test.

@@ -249,12 +249,7 @@ def restore_loggers(before: Dict[str, LoggerState], after: Dict[str, LoggerState
 
 
 def read_garbage_collector() -> Dict[str, Any]:
-    callbacks = [
-        callback
-        for callback in gc.callbacks
-        if (getattr(callback, "__module__", None) or "").startswith("retalis")
-    ]
-    return {"enabled": gc.isenabled(), "thresholds": gc.get_threshold(), "callbacks": callbacks}
+    return {"enabled": gc.isenabled(), "thresholds": gc.get_threshold()}
 
 
 def describe_garbage_collector(before: Dict[str, Any], after: Dict[str, Any]) -> Iterator[str]:
@@ -268,9 +263,6 @@ def restore_garbage_collector(before: Dict[str, Any], after: Dict[str, Any]) -> 
     else:
         gc.disable()
     gc.set_threshold(*before["thresholds"])
-    for callback in after["callbacks"]:
-        if callback not in before["callbacks"]:
-            gc.callbacks.remove(callback)
 
 
 # ---- threads

@@ -1,12 +1,12 @@
 """Limits on the pauses of CPython's garbage collector in processes that run an engine.
 
-`limit_gc_pauses` exempts the objects of the loaded program from most collections, and `collect_when_idle` runs the
-full collections that become due.
+After `limit_gc_pauses` CPython collects only young objects. Engines and nodes call `collect_if_grown` regularly, and
+nodes `collect_when_idle`, which run the full collections that become due.
 """
 
 import gc
 import sys
-from typing import Callable, Dict, Set
+from typing import Callable, Set
 from weakref import WeakMethod
 
 
@@ -14,22 +14,30 @@ class YoungCollector:
     """Generational garbage collection whose pauses do not grow with the heap.
 
     CPython visits all objects of a generation in one pause, about 100 ns per object. With many live objects, a
-    collection of the second generation takes as long as one of the oldest. This class freezes (`gc.freeze`) the
-    objects that survive a collection of the second generation, so that later collections skip them. Frozen objects
-    are still freed when their reference count drops to zero. Only reference cycles that become garbage after they
-    were frozen remain. They are found by a full collection, which runs when the heap has grown by more than the
-    live records explain.
+    collection of the oldest generation takes 100 ms and more. This class sets thresholds with which CPython never
+    starts one. Objects of that generation are still freed when their reference count drops to zero. Only reference
+    cycles that become garbage later remain. They are found by a full collection, which runs when the heap has grown
+    by more than the live records explain.
+
+    The class has no callback in `gc.callbacks`. CPython ignores the errors of such callbacks, and may call one at the
+    recursion limit. Python 3.8 then aborts the process ("Cannot recover from stack overflow") if the recursion
+    continues, as that of the JSON decoder does; later versions print a traceback.
 
     Args:
-        count_live_records: returns the number of live records that the owner knows; called during a collection.
+        count_live_records: returns the number of live records that the owner knows.
     """
 
     YOUNG_THRESHOLD = 2000
     """Number of new objects that triggers a collection of the youngest generation."""
     MIDDLE_THRESHOLD = 2
     """Number of such collections that triggers one of the second generation, of some 8,000 objects."""
-    OLD_THRESHOLD = 1_000_000
-    """Number of those that would trigger a collection of the oldest generation, which is mostly frozen."""
+    OLD_THRESHOLD = 2**31 - 1
+    """Number of those that would trigger a collection of the oldest generation: the maximum, so that none does."""
+    COLLECTIONS_PER_CHECK = 50
+    """Collections of the second generation between two checks of the heap: growth by some 300,000 objects.
+
+    On Python 3.11, a check takes 5 ms in a process of 1 GB.
+    """
     MAX_GARBAGE_BLOCKS = 4_000_000
     """Memory blocks of about 60 bytes that may be garbage before a full collection while events are processed."""
     MAX_GARBAGE_BLOCKS_IDLE = 250_000
@@ -40,32 +48,39 @@ class YoungCollector:
     def __init__(self, count_live_records: Callable[[], int]):
         self._count_live_records = count_live_records
         self._default_thresholds = gc.get_threshold()
-        self._is_full_collection_due = False
+        self._checked_count = 0
+        """Number of collections of the second generation at the last check, counted since the last full one."""
         self._blocks = 0
         self._records = 0
         """Number of memory blocks and of live records after the last full collection, or when there were fewest."""
 
     @property
     def _is_active(self) -> bool:
-        return self._on_collection in gc.callbacks
+        return gc.get_threshold()[2] == self.OLD_THRESHOLD
 
     def start(self) -> None:
-        """Collect and freeze all objects, and start to visit only newer ones."""
-        gc.collect()
+        """Collect all garbage, and start to visit only young objects."""
         if not self._is_active:
             self._default_thresholds = gc.get_threshold()
-            gc.callbacks.append(self._on_collection)
-        self._freeze_survivors()
-        # CPython delays a full collection until the survivors since the last one are a quarter of what that one left.
-        # After a collection of nothing, this condition always holds.
-        gc.collect()
+        gc.set_threshold(self.YOUNG_THRESHOLD, self.MIDDLE_THRESHOLD, self.OLD_THRESHOLD)
+        self._collect()
 
     def stop(self) -> None:
-        """Restore the thresholds from before `start`, and unfreeze everything."""
+        """Restore the thresholds from before `start`."""
         if self._is_active:
-            gc.callbacks.remove(self._on_collection)
             gc.set_threshold(*self._default_thresholds)
-            gc.unfreeze()
+
+    def collect_if_grown(self) -> None:
+        """Run a full collection if the heap has grown to a multiple of its size; call this regularly.
+
+        A call takes less than 1 µs, except after `COLLECTIONS_PER_CHECK` collections.
+        """
+        count = gc.get_count()[2]
+        # The count is lower than at the last check if another part of the process has run a full collection.
+        if abs(count - self._checked_count) >= self.COLLECTIONS_PER_CHECK and self._is_active:
+            self._checked_count = count
+            if self._has_grown(3, self.MAX_GARBAGE_BLOCKS):
+                self._collect()
 
     def collect_if_due(self) -> bool:
         """Run a full collection if garbage may have accumulated since the last one; call this at idle times.
@@ -77,18 +92,14 @@ class YoungCollector:
         """
         is_due = self._is_active and self._has_grown(1.25, self.MAX_GARBAGE_BLOCKS_IDLE)
         if is_due:
-            gc.unfreeze()
-            gc.collect()
-            self._freeze_survivors()
+            self._collect()
         return is_due
 
-    def _freeze_survivors(self) -> None:
-        gc.freeze()
-        self._is_full_collection_due = False
+    def _collect(self) -> None:
+        gc.collect()
+        self._checked_count = 0
         self._blocks = sys.getallocatedblocks()
         self._records = self._count_live_records()
-        if self._is_active:
-            gc.set_threshold(self.YOUNG_THRESHOLD, self.MIDDLE_THRESHOLD, self.OLD_THRESHOLD)
 
     def _has_grown(self, factor: float, blocks: int) -> bool:
         """Return whether the heap has grown beyond a limit, apart from the growth that live records explain."""
@@ -102,26 +113,6 @@ class YoungCollector:
             return False
         added_records = max(0, self._count_live_records() - self._records)
         return now - self.BLOCKS_PER_RECORD * added_records > limit
-
-    def _on_collection(self, phase: str, info: Dict[str, int]) -> None:
-        """React to the end of a collection: freeze the survivors, or prepare a full collection.
-
-        A collection cannot be started from a callback, because one is running. With a threshold of 0, CPython makes
-        the next one a full one, if the survivors since the last one are at least a quarter of its survivors.
-        """
-        # The youngest generation is collected most often, and its survivors may still die soon: freezing waits for
-        # the second.
-        if phase == "start" or info["generation"] == 0:
-            return
-        if self._is_full_collection_due:
-            if info["generation"] == 2:
-                self._freeze_survivors()
-        elif self._has_grown(3, self.MAX_GARBAGE_BLOCKS):
-            self._is_full_collection_due = True
-            gc.unfreeze()
-            gc.set_threshold(self.YOUNG_THRESHOLD, self.MIDDLE_THRESHOLD, 0)
-        else:
-            gc.freeze()
 
 
 CountRecords = Callable[[], int]
@@ -149,12 +140,12 @@ def limit_gc_pauses() -> None:
     By default CPython walks all live objects again and again, about 100 ns each: with a million partial matches,
     single events wait for some 400 ms. From this call on, only new objects are walked, some 8,000 at a time. An
     object is freed as before when its last reference goes; only objects in a reference cycle need the collector.
-    Cycles that become garbage later are collected by `collect_when_idle`. At the latest they are collected when the
-    heap has grown to three times its size plus 4,000,000 blocks of memory of about 60 bytes. Memory that the records
-    of engines use does not count as growth.
+    Cycles that become garbage later are collected by `collect_when_idle`. At the latest they are collected by an
+    engine that processes events or goals when the heap has grown to three times its size plus 4,000,000 blocks of
+    memory of about 60 bytes. Memory that the records of engines use does not count as growth.
 
-    This function changes settings of the whole process: thresholds, frozen objects, and one callback in
-    `gc.callbacks`. The nodes and the commands call it; an `Engine` does not. `restore_gc` undoes it.
+    This function changes a setting of the whole process, the thresholds of the collector. The nodes and the commands
+    call it; an `Engine` does not. `restore_gc` undoes it.
 
     >>> limit_gc_pauses()
     >>> restore_gc()
@@ -175,6 +166,14 @@ def collect_when_idle() -> bool:
         Whether garbage was collected.
     """
     return _collector.collect_if_due()
+
+
+def collect_if_grown() -> None:
+    """Collect all garbage if the heap has grown to a multiple of its size; call this regularly.
+
+    Most calls only compare two numbers.
+    """
+    _collector.collect_if_grown()
 
 
 def restore_gc() -> None:

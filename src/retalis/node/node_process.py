@@ -13,7 +13,7 @@ import time
 from contextlib import ExitStack, suppress
 from typing import Callable
 
-from ..foundation.garbage_collection import collect_when_idle, stop_collecting
+from ..foundation.garbage_collection import collect_if_grown, collect_when_idle, stop_collecting
 from ..foundation.interrupts import deferred_interrupts, interruptible
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
@@ -54,13 +54,16 @@ def run_node_process(run: Callable[[ExitStack], int], max_shutdown_seconds: floa
 
 
 def wait_while(is_running: Callable[[], bool]) -> None:
-    """Wait as long as a node is running; collect garbage while it is idle."""
+    """Wait as long as a node is running; collect garbage while it is idle, or if there may be much of it."""
     while is_running():
         cpu_time = time.process_time()
         with interruptible():
             time.sleep(SHUTDOWN_CHECK_SECONDS)
         if time.process_time() - cpu_time < MAX_IDLE_LOAD * SHUTDOWN_CHECK_SECONDS:
             collect_when_idle()
+        else:
+            # The work of a node may consist of timers and transforms, without an event.
+            collect_if_grown()
 
 
 def _ignore_signals() -> None:

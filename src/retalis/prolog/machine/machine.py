@@ -24,6 +24,7 @@ from sys import getrefcount
 from typing import Any, Callable, Generator, List, NamedTuple, Optional, Tuple
 
 from ...foundation.errors import RetalisError, TermTooLarge
+from ...foundation.garbage_collection import collect_if_grown
 from ...foundation.limit_checks import set_limit_check
 from ..terms.term_traversal import copy
 from ..terms.types import Frame, Functor, Step, Term, Trail, Values, Var
@@ -448,6 +449,7 @@ class Machine:
                         code.sample(frame[1])
                     if len(trail) > self._compact_at:
                         self._compact()
+                    collect_if_grown()
                     self.budget.count_slice()
             except Exception as exc:
                 frame = self._handle(exc, frame, base)
