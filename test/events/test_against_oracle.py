@@ -7,6 +7,7 @@ import re
 from collections import Counter
 from dataclasses import replace
 from itertools import cycle
+from random import Random
 from typing import Any, Dict, List, Tuple
 from unittest.mock import patch
 
@@ -15,6 +16,7 @@ from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 from oracle.combination_evaluator import defined_for, firings
 from oracle.comparison import answer, difference, engine_events, engine_steps, report, shrink
+from oracle.nested_absences import NestedAbsences
 from oracle.pattern_classes import Check, Cnot, Fnot, Sub, walk
 from oracle.rule_notation import stream, write_rule
 from oracle.strategies import cases, drawn_cases
@@ -75,6 +77,13 @@ def test_instants_of_matches_equal_oracle(case: Any) -> None:
 @given(cases(overlaps=True))
 def test_without_equals_oracle(case: Any) -> None:
     assert difference(limit_stream(case)) is None
+
+
+@pytest.mark.slow
+@settings(quick, max_examples=40)
+@given(st.integers(0, 10**9))
+def test_retraction_with_nested_absences_equals_oracle(seed: int) -> None:
+    assert difference(NestedAbsences(Random(seed).choice, revision=True, overlaps=True).case()) is None
 
 
 @pytest.mark.slow

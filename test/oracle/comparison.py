@@ -10,6 +10,7 @@ import time
 from collections import Counter
 from dataclasses import fields, replace
 from itertools import count
+from random import Random
 from typing import Any, Callable, Collection, Iterable, Iterator, List, Optional, Sequence, Tuple
 
 from retalis import Engine, RetalisError, StreamClock, Term, atom, functor
@@ -18,6 +19,7 @@ from retalis.prolog.terms.timestamps import SECOND
 
 from . import retraction
 from .goal_evaluator import show
+from .nested_absences import NestedAbsences
 from .pattern_classes import NO_PROPERTIES, Pattern, Rule
 from .strategies import Case, random_case
 
@@ -248,10 +250,27 @@ def add_options(parser: argparse.ArgumentParser, cases: int, show: int) -> None:
     )
 
 
+def _draw_case(seed: int, options: argparse.Namespace) -> Case:
+    if options.nested:
+        return NestedAbsences(Random(seed).choice, revision=True, overlaps=options.overlaps).case(
+            options.depth
+        )
+    return random_case(
+        seed,
+        options.depth,
+        options.revision,
+        options.unsure,
+        options.streams,
+        options.instants,
+        options.overlaps,
+    )
+
+
 def main() -> int:
     """Compare many cases; print those that differ, shrunk."""
     parser = argparse.ArgumentParser(description=main.__doc__)
     add_options(parser, cases=50_000, show=20)
+    parser.add_argument("--nested", action="store_true", help="absences in absences, with retractions")
     parser.add_argument("--index", action="store_true", help="find partners by time however few wait")
     parser.add_argument("--new", action="store_true", help="a new engine for each case; else one is reset")
     options = parser.parse_args()
@@ -268,15 +287,7 @@ def main() -> int:
     for seed in count(options.seed):
         if compared == options.cases:
             break
-        case = random_case(
-            seed,
-            options.depth,
-            options.revision,
-            options.unsure,
-            options.streams,
-            options.instants,
-            options.overlaps,
-        )
+        case = _draw_case(seed, options)
         compared += is_defined(case)
         if used is None or compared % 500 == 0:
             used = None if options.new else ReusableEngine()

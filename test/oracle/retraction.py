@@ -31,7 +31,9 @@ from .pattern_classes import (
     Aggregate,
     Both,
     Cnot,
+    Do,
     Fnot,
+    Multiply,
     Pattern,
     Rule,
     Star,
@@ -51,8 +53,6 @@ Stream = Iterable[Tuple[Term, Any, Any]]
 def defined_for(rules: Sequence[Rule], policy: str, out_of_order: bool) -> bool:
     """Return whether the oracle defines the revision of these rules."""
     plain = take_out_subpatterns(list(rules))
-    if any(has_outer_absence(rule) for rule in plain):
-        return False
     if any(rule.after_match != "keep" and len(list(revisable_parts(rule))) > 1 for rule in plain):
         return False  # the first match that returns skips the others, and their order is not defined
     nodes = [node for rule in rules for node in walk(rule.pattern)]
@@ -61,14 +61,18 @@ def defined_for(rules: Sequence[Rule], policy: str, out_of_order: bool) -> bool:
     if not any(isinstance(node, NEGATIONS) for node in nodes):
         return True
     limited = any(rule.window is not None for rule in rules) or any(isinstance(n, Within) for n in nodes)
+    has_outer = any(has_outer_absence(rule) for rule in plain)
     policies = {rule.policy_by(policy) for rule in plain}
     if "unrestricted" in policies:
-        return not limited and len(policies) == 1 and combines(rules)
-    operators = [strip(node)[0] for node in nodes if isinstance(node, Without)]
-    if any(not isinstance(node, Both) or node.kind in EITHER_ORDER for node in operators):
+        return not limited and len(policies) == 1 and not has_outer and combines(rules)
+    repeats = (Star, Aggregate, Do, Multiply)
+    if any(isinstance(strip(node)[0], repeats) for node in nodes if isinstance(node, Without)):
         return False  # see `events/matches/test_negation.py`
+    if has_outer and any(isinstance(node, repeats) for node in nodes):
+        return False
     late = any(rule.late_by(out_of_order) for rule in plain)
-    return not limited and not (late and any(isinstance(node, (Cnot, Without)) for node in nodes))
+    at_pairs = has_outer or any(isinstance(node, (Cnot, Without)) for node in nodes)
+    return not limited and not (late and at_pairs)
 
 
 def revisable_parts(rule: Rule) -> Iterator[Pattern]:
@@ -167,6 +171,7 @@ class RevisedState(RuleState):
         self.retracted: Set[int] = set()
         self.reviving = False
         self.limited_by_overlaps = {strip(node)[0] for node in self.place if isinstance(node, Without)}
+        self.has_outer_absence = has_outer_absence(rule)
 
     def forget(self, numbers: FrozenSet[int]) -> None:
         """Remove the partial matches that hold one of these events."""
@@ -296,6 +301,25 @@ class RevisedState(RuleState):
                 results.append(allowed)
         return results
 
+    def filter_conditions(
+        self, node: Pattern, conditions: List[Pattern], matches: List[Match]
+    ) -> List[Match]:
+        """Extend `RuleState`: matches that a without rejects are recorded, to be evaluated again."""
+        absence = next((condition for condition in conditions if isinstance(condition, Without)), None)
+        if absence is None:
+            return super().filter_conditions(node, conditions, matches)
+        suppressed = self.suppressed.setdefault(absence, [])
+        if self.reviving:
+            matches = suppressed + matches
+            suppressed[:] = []
+        results: List[Match] = []
+        for match in matches:
+            is_forbidden = any(self.forbidden(gap, match.bindings) for gap in match.allowed_gaps)
+            passed = [] if is_forbidden else super().filter_conditions(node, conditions, [match])
+            results += passed
+            suppressed += [] if passed else [match]
+        return results
+
     def _in_order(self, node: Both, sides: Sides, fit: Fit) -> List[Match]:
         """Extend `RuleState`: the partners of a released side are those that it could have had."""
         if self.out_of_order:
@@ -354,9 +378,12 @@ class RevisedState(RuleState):
         self.suppressed.setdefault(node, []).append(q)
 
     def two_sided(self, node: Both, event: Event, tests: List[Test], cnot: Optional[Cnot]) -> List[Match]:
-        """Extend `RuleState`: second sides without partners are evaluated again, as a cnot may have rejected them."""
+        """Extend `RuleState`: pairs that an absence may have rejected are evaluated again."""
         again: List[Match] = []
-        if self.reviving and (cnot is not None or node in self.limited_by_overlaps):
+        has_absence = cnot is not None or node in self.limited_by_overlaps or self.has_outer_absence
+        if self.reviving and node.kind in EITHER_ORDER and has_absence:
+            again = self._released_pairs(node, lambda p, q: self.fit(node, p, q, tests, cnot))
+        elif self.reviving and has_absence:
             unmatched = self.suppressed.setdefault(node, [])
             for q in list(unmatched):
 
@@ -375,6 +402,35 @@ class RevisedState(RuleState):
                         if record.match is q:
                             record.completed_numbers += [match.numbers for match in matches]
         return again + super().two_sided(node, event, tests, cnot)
+
+    def _released_pairs(self, node: Both, fit: Fit) -> List[Match]:
+        """Return the pairs of stored sides in either order that fit now; the later side completes each pair."""
+        lefts, rights = (self.waiting.setdefault((node, side), []) for side in ("left", "right"))
+        self.completed.setdefault(node, set())
+        results: List[Match] = []
+        # An event that fits both sides completes first as the right side.
+        arrivals = [
+            *((max(q.numbers), False, q) for q in rights),
+            *((max(p.numbers), True, p) for p in lefts),
+        ]
+        for number, is_left, match in sorted(arrivals, key=lambda arrival: arrival[:2]):
+            own, partners = (lefts, rights) if is_left else (rights, lefts)
+            # An event that has completed as the right side waits as the left one, without partners that came before.
+            if match not in own or (is_left and match.numbers in self.completed[node]):
+                continue
+
+            def fit_earlier(
+                partner: Match, match: Match = match, is_left: bool = is_left, number: int = number
+            ) -> Optional[Match]:
+                if max(partner.numbers) > number:
+                    return None
+                return fit(match, partner) if is_left else fit(partner, match)
+
+            pairs = self.complete(partners, fit_earlier)
+            results += pairs
+            if pairs and self.consuming:
+                own.remove(match)
+        return results
 
 
 class Tagged:

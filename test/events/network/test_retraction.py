@@ -22,6 +22,13 @@ def outputs_with_revision(rules: Any, stream: str, policy: Any = None) -> Any:
         ("c(X) <- a(X) seq b.", "a(1)@1 a(2)@2 rev(a(2))@3 b@4", "c(1)@1-4"),
         ("c <- (a seq b) cnot d.", "a@1 d@2 b@3 rev(d)@4 b@5", "c@1-3"),
         ("c <- a fnot d.", "d@1 a@2 rev(d)@3", "c@2-2"),
+        # One second operand completes all first ones.
+        ("c(X) <- (a(X) forall_seq b) without d.", "a(1)@1 a(2)@2 d@3 b@4 rev(d)@5 b@6", "c(1)@1-4 c(2)@2-4"),
+        (
+            "c(X) <- a(X) forall_seq (b fnot (d where X > 0)).",
+            "a(1)@1 a(2)@2 d@3 b@4 rev(d)@5",
+            "c(1)@1-4 c(2)@2-4",
+        ),
         (
             "c(N) <- s seq aggregate(count, a(_), N).",
             "s@1 a(1)@2 a(2)@3 rev(a(1))@4",

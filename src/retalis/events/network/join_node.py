@@ -532,7 +532,10 @@ class JoinNode(NetworkNode):
         result = None if sides is None else self.join_pair(*sides, (left, right))
         if result is None:
             return frame
-        if options.policy.consumes_partners or self.operator.joins_all_left:
+        if self.operator.joins_all_left:
+            # The right operand may have further left ones.
+            left.discard()
+        elif options.policy.consumes_partners:
             left.discard()
             right.consumed_by = left
             if self.operator.completes_in_any_order:
