@@ -23,9 +23,10 @@ from ..prolog.syntax.term_reader import read_term
 from ..prolog.terms import timestamps
 from ..prolog.terms.list_terms import list_items
 from ..prolog.terms.types import Atom, Term, Var, atom, deref, functor
+from ..prolog.terms.unification import may_unify
 from .explanation_lines import MAX_LINES_OF_A_KIND, Explanation, ExplanationLine, ExplanationTexts
 from .why_not_happened import RequestedInterval, WhyNotHappened
-from .why_not_published import WhyNotPublished, can_unify
+from .why_not_published import WhyNotPublished
 
 MAX_DEPTH = 50
 """Maximum length of a chain of derived events that is shown."""
@@ -243,7 +244,7 @@ def _find_occurrences(
     indexed: Sequence[Occurrence] = (
         () if interval is None else program.rules.network.tracker.occurrences_of(event)
     )
-    candidates = indexed or [occurrence for occurrence in recorded if can_unify(occurrence.term, event)]
+    candidates = indexed or [occurrence for occurrence in recorded if may_unify(occurrence.term, event)]
     return [occurrence for occurrence in candidates if interval in (None, (occurrence.start, occurrence.end))]
 
 

@@ -12,9 +12,8 @@ from ..events.network.lineage_graph import Occurrence
 from ..foundation.ros_name_checks import strip_slashes
 from ..prolog.terms.term_traversal import copy, is_ground
 from ..prolog.terms.types import Term, Var, deref
-from ..prolog.terms.unification import unify
+from ..prolog.terms.unification import may_unify, unify
 from .event_explanations import event_request, explain_briefly
-from .why_not_published import can_unify
 
 MAX_EXPLAINED_SUBSCRIPTIONS = 2
 """Maximum number of subscriptions in the explanation of an output."""
@@ -81,7 +80,7 @@ def _find_selected_events(engine: Engine, output: ExplainedOutput) -> Iterator[_
         published = event if deref(template).__class__ is Var else template
         if output.term is not None and not unify(published, copy(output.term), []):
             continue
-        candidates = [occurrence for occurrence in occurrences if can_unify(occurrence.term, event)]
+        candidates = [occurrence for occurrence in occurrences if may_unify(occurrence.term, event)]
         request, note = copy(event), ""
         if candidates:
             nearest = min(candidates, key=lambda event: _distance(event, output.time))

@@ -14,10 +14,10 @@ from ..foundation.similar_names import did_you_mean
 from ..prolog.terms import timestamps
 from ..prolog.terms.term_traversal import copy
 from ..prolog.terms.types import Term, Trail, Var, deref, functor, functor_name
-from ..prolog.terms.unification import undo, unify
+from ..prolog.terms.unification import may_unify, undo, unify
 from .explanation_lines import MAX_LINES_OF_A_KIND, ExplanationLine, ExplanationTexts
 from .why_not_matched import PartResult, WhyNotMatched
-from .why_not_published import WhyNotPublished, can_unify
+from .why_not_published import WhyNotPublished
 
 if TYPE_CHECKING:
     from .event_explanations import DerivationTrees
@@ -157,7 +157,7 @@ class WhyNotHappened:
             open_lines = [
                 self._explain_open_state(state)
                 for state in declaration.open.values()
-                if state.start is not None and can_unify(state.term, event)
+                if state.start is not None and may_unify(state.term, event)
             ]
             lines += open_lines[-MAX_LINES_OF_A_KIND:] or self._explain_closed_state(
                 declaration, event, ancestors
@@ -184,7 +184,7 @@ class WhyNotHappened:
             return []
         text = f"state {self._texts.format_term(state_term)} is not open"
         beginnings = [
-            occurrence for occurrence in self._occurrences if can_unify(occurrence.term, begin_event)
+            occurrence for occurrence in self._occurrences if may_unify(occurrence.term, begin_event)
         ]
         if beginnings:
             newest = self._texts.format_event(beginnings[-1])
@@ -223,7 +223,7 @@ class WhyNotHappened:
             occurrence
             for revision in self._occurrences
             for occurrence in revision.retracts or ()
-            if can_unify(occurrence.term, event)
+            if may_unify(occurrence.term, event)
         ]
         return [
             ExplanationLine(f"{self._texts.format_event(occurrence)} was retracted", [])

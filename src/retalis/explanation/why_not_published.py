@@ -12,7 +12,7 @@ from ..prolog.system.prolog_system import PrologSystem
 from ..prolog.terms.list_terms import list_items
 from ..prolog.terms.term_traversal import copy
 from ..prolog.terms.types import Term, Trail, deref, functor, functor_of
-from ..prolog.terms.unification import undo, unify
+from ..prolog.terms.unification import may_unify, undo, unify
 
 _COMMA_FUNCTOR = functor(",", 2)
 _MAX_SUBSCRIPTIONS = 20
@@ -78,7 +78,7 @@ class WhyNotPublished:
             if functor_of(template) is None or functor_of(template) != functor_of(message):
                 continue
             # Only tested, not bound: the subscription is used with its own variables afterwards.
-            if can_unify(template, message) and count < _MAX_SUBSCRIPTIONS:
+            if may_unify(template, message) and count < _MAX_SUBSCRIPTIONS:
                 count += 1
                 yield (
                     f"{subscription.description} publishes it for {self._show(subscription.event)}",
@@ -141,9 +141,3 @@ class WhyNotPublished:
         except RetalisError as error:
             return f"ends with an error: {error.message}"
         return "is false"
-
-
-def can_unify(first: Term, second: Term) -> bool:
-    """Return whether two terms without common variables unify; their variables stay unbound."""
-    # Only variables of the copies are bound, so no binding has to be undone.
-    return bool(unify(copy(first), copy(second), []))

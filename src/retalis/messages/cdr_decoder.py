@@ -38,6 +38,7 @@ from .decoder import (
     find_number_decoder,
     has_header,
     plain_text_term,
+    slice_text,
     text_term,
 )
 from .type_definition import (
@@ -318,21 +319,14 @@ class CdrDecoderGenerator(DecoderGenerator):
 
 def _read_text(data: bytes, start: int, stop: int) -> Term:
     """Return the string between two offsets of a message, which is not in the cache, and cache it."""
-    raw = _slice_text(data, start, stop)
+    raw = slice_text(data, start, stop)
     return cache_text(_cached_texts, raw, text_term(_strip_zero(raw)))
 
 
 def _read_plain_text(data: bytes, start: int, stop: int) -> Term:
     """Return the string between two offsets in the plain form; see `_read_text`."""
-    raw = _slice_text(data, start, stop)
+    raw = slice_text(data, start, stop)
     return cache_text(_cached_plain_texts, raw, plain_text_term(_strip_zero(raw)))
-
-
-def _slice_text(data: bytes, start: int, stop: int) -> bytes:
-    raw = data[start:stop]
-    if len(raw) != stop - start:
-        raise StructError
-    return raw
 
 
 def _strip_zero(raw: bytes) -> bytes:

@@ -122,17 +122,18 @@ cached_plain_texts: Cache[bytes, Term] = create_text_cache()
 
 def read_text(data: bytes, start: int, stop: int) -> Term:
     """Return the string between two offsets of a message, which is not in the cache, and cache it."""
-    raw = _slice_text(data, start, stop)
+    raw = slice_text(data, start, stop)
     return cache_text(cached_texts, raw, text_term(raw))
 
 
 def read_plain_text(data: bytes, start: int, stop: int) -> Term:
     """Return the string between two offsets in the plain form; see `read_text`."""
-    raw = _slice_text(data, start, stop)
+    raw = slice_text(data, start, stop)
     return cache_text(cached_plain_texts, raw, plain_text_term(raw))
 
 
-def _slice_text(data: bytes, start: int, stop: int) -> bytes:
+def slice_text(data: bytes, start: int, stop: int) -> bytes:
+    """Return the bytes between two offsets."""
     raw = data[start:stop]
     # A slice beyond the end of the message is shorter than the length field says.
     if len(raw) != stop - start:

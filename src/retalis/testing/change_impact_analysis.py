@@ -61,7 +61,7 @@ from ..events.language.rule_heads import ALARMS, NEW_EVENT, SYNCHRONIZED, event_
 from ..events.language.stream_parser import subscription_event
 from ..events.network.event_rule import EventRule
 from ..events.program.topic_configuration import AUTO, TOPICS, Topics, direct_topics, read_topics
-from ..events.rules.rule_base import label_of
+from ..events.provenance.explanation_terms import label_of
 from ..foundation.ros_name_checks import strip_slashes
 from ..messages.action_events import find_action_event
 from ..messages.type_registry import Definitions

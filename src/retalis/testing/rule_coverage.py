@@ -15,13 +15,13 @@ from ..engine.engine import Engine
 from ..events.language.pattern_tree import EventPattern, Pattern, walk
 from ..events.language.rule_labels import rule_title
 from ..events.network.event_rule import EventRule
-from ..explanation.why_not_published import can_unify
 from ..foundation.displayed_text import printable, shorten
 from ..foundation.output_files import write_xml
 from ..foundation.source_places import line_of
 from ..prolog.syntax.term_writer import canonical_text
 from ..prolog.terms.term_traversal import variables
 from ..prolog.terms.types import Term, functor
+from ..prolog.terms.unification import may_unify
 from .expectation_checks import functor_of
 
 _INPUT_EVENT = functor("input_event", 1)
@@ -97,7 +97,7 @@ class CoverageRecorder:
             numbers = self._unmatched_by_functor.get(key)
             if not numbers:
                 continue
-            remaining = [number for number in numbers if not can_unify(self._patterns[number].term, term)]
+            remaining = [number for number in numbers if not may_unify(self._patterns[number].term, term)]
             for number in set(numbers).difference(remaining):
                 self._matched[number] = True
             # Patterns that have matched are not tested again, so that the cost of an event is that of the others.

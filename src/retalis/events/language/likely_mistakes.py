@@ -240,26 +240,27 @@ def _is_condition(term: CompoundTerm) -> bool:
     return kind in (OperatorKind.CONDITION, OperatorKind.LIMIT)
 
 
-def _operator_name(term: Any) -> Optional[str]:
-    return OPERATOR_NAMES.get(term[0]) if term.__class__ is tuple else None
+def operator_name(term: Any) -> str:
+    """Return the name of the event operator of a term; "" if it has none."""
+    return OPERATOR_NAMES.get(term[0], "") if term.__class__ is tuple else ""
 
 
 def _parts_of_repetition(sequence: CompoundTerm) -> List[Term]:
     """Return the parts of ``Q ntimes N``, or an empty list for another pattern."""
-    times = deref(sequence[2]) if _operator_name(sequence) == "ntimes" else None
+    times = deref(sequence[2]) if operator_name(sequence) == "ntimes" else None
     return [deref(sequence[1])] * times if times.__class__ is int else []
 
 
 def _parts_without_parentheses(sequence: CompoundTerm, place_of: Callable[..., Any]) -> List[Term]:
     parts: List[Term] = []
     node: Any = sequence
-    while _operator_name(node) == "seq" and not _is_goal_or_run(deref(node[2])):
+    while operator_name(node) == "seq" and not _is_goal_or_run(deref(node[2])):
         parts.append(deref(node[2]))
         # The place of a term is that of its first token. An inner sequence in parentheses begins one character after
         # its outer one.
         operand: Any = deref(node[1])
         if (
-            _operator_name(operand) != "seq"
+            operator_name(operand) != "seq"
             or place_of(operand, 1) != place_of(node, 1)
             or _is_goal_or_run(deref(operand[2]))
         ):
@@ -277,7 +278,7 @@ def _is_goal_or_run(term: Any) -> bool:
 def _format_grouped_before_last(sequence: CompoundTerm, parts: List[Term], names: Mapping[Var, str]) -> str:
     """Return the text of the sequence with parentheses before its last gap."""
     last_text = _format_pattern(parts[-1], names)
-    if _operator_name(sequence) == "ntimes":
+    if operator_name(sequence) == "ntimes":
         return f"(({last_text} ntimes {len(parts) - 1}) seq {last_text})"
     if len(parts) > _MAX_SHOWN_PARTS:
         return f"((...) seq {last_text})"
@@ -289,4 +290,4 @@ def _format_pattern(term: Term, names: Mapping[Var, str]) -> str:
     # Variables that occur once have no name; they are shown as ``_``.
     anonymous = {var: "_" for var in variables(term) if var not in names}
     text = write_term(term, None, quoted=True, numbervars=True, variable_names={**anonymous, **names})
-    return f"({text})" if _operator_name(deref(term)) is not None else text
+    return f"({text})" if operator_name(deref(term)) else text

@@ -41,7 +41,7 @@ from ..streams.aggregates import AGGREGATES, Setting
 from ..streams.held_window import HELD_AGGREGATES, MAX_HELD_STEPS
 from ..streams.rate_operators import RATE_OPERATORS
 from .event_operators import OPERATOR_NAMES
-from .likely_mistakes import bracket_advice
+from .likely_mistakes import bracket_advice, operator_name
 from .pattern_tree import (
     DURATION,
     AbsencePattern,
@@ -522,7 +522,7 @@ _TRAILING_OPERATOR_ERROR = "a subscription takes P with S without further operat
 def subscription_event(term: Term) -> Term:
     """Return the event pattern of a subscription: P of ``P with S``, otherwise the whole term."""
     pattern: Any = deref(term)
-    return deref(pattern[1]) if _operator_name(pattern) == "with" else pattern
+    return deref(pattern[1]) if operator_name(pattern) == "with" else pattern
 
 
 def subscription_rate_operator(term: Term) -> Optional[RatePattern]:
@@ -533,7 +533,7 @@ def subscription_rate_operator(term: Term) -> Optional[RatePattern]:
     """
     pattern: Any = deref(term)
     try:
-        if _operator_name(pattern) == "with":
+        if operator_name(pattern) == "with":
             if regroup_rate_operator(pattern) is not None:
                 raise UsageError(_TRAILING_OPERATOR_ERROR)
             return parse_rate_operator(pattern, _parse_single_event(pattern[1]), _create_error)
@@ -541,20 +541,16 @@ def subscription_rate_operator(term: Term) -> Optional[RatePattern]:
         raise UsageError(error.message) from None
     operand = pattern
     # The operator that follows a rate operator is the outermost one: it is found by descending to the left.
-    while _operator_name(operand):
+    while operator_name(operand):
         operand = deref(operand[1])
-        if _operator_name(operand) == "with":
+        if operator_name(operand) == "with":
             raise UsageError(_TRAILING_OPERATOR_ERROR)
     return None
 
 
-def _operator_name(term: Any) -> str:
-    return OPERATOR_NAMES.get(term[0], "") if term.__class__ is tuple else ""
-
-
 def _parse_single_event(term: Term) -> EventPattern:
     event = deref(term)
-    if event.__class__ not in (tuple, Atom, Var) or _operator_name(event):
+    if event.__class__ not in (tuple, Atom, Var) or operator_name(event):
         raise RuleError(_SINGLE_EVENT_ERROR)
     return EventPattern(event)
 

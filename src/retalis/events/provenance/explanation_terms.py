@@ -84,7 +84,7 @@ class Justifier:
         for occurrence in self._tracker.remembered_events():
             if occurrence.rule is not None and occurrence.match is not None:
                 body = describe_match(occurrence.rule.definition.pattern, occurrence.match, _event_term)
-                yield _event_term(occurrence), (_CLAUSE_BODY, _label_of(occurrence.rule), body)
+                yield _event_term(occurrence), (_CLAUSE_BODY, label_of(occurrence.rule), body)
 
     def explanations(self, event: Term, interval: Term) -> Iterator[Tuple[Term, Term, Term]]:
         """Yield event, interval and explanation for each occurrence, or one why-not explanation if there is none."""
@@ -117,7 +117,7 @@ class Justifier:
             label: Term = _UNLABELED
             body: Term = _DEFAULT
             if occurrence.rule is not None and occurrence.match is not None:
-                label = _label_of(occurrence.rule)
+                label = label_of(occurrence.rule)
                 body = describe_match(
                     occurrence.rule.definition.pattern,
                     occurrence.match,
@@ -163,7 +163,7 @@ class _MissingEventExplainer:
             body = self._explain_pattern(rule.definition.pattern)
             # Resolved while the head is unified: `undo` below removes the bindings.
             head_term = (_HEAD, resolve(event), interval)
-            return (_JUSTIFICATION, _label_of(rule), head_term, copy((_FAILED_BODY, body)))
+            return (_JUSTIFICATION, label_of(rule), head_term, copy((_FAILED_BODY, body)))
         finally:
             undo(trail, 0)
 
@@ -376,7 +376,8 @@ def _event_term(occurrence: Occurrence) -> Term:
     return (_EVENT, occurrence.term, interval_term(occurrence.start, occurrence.end))
 
 
-def _label_of(rule: Optional[EventRule]) -> Term:
+def label_of(rule: Optional[EventRule]) -> Term:
+    """Return the label of a rule."""
     return _UNLABELED if rule is None or rule.label is None else rule.label
 
 

@@ -13,7 +13,7 @@ from ...prolog.files.source_files import SourceFiles
 from ...prolog.system.prolog_system import PrologSystem
 from ...prolog.terms.term_traversal import copy, term_key
 from ...prolog.terms.timestamps import from_seconds
-from ...prolog.terms.types import Functor, Term, Trail, atom
+from ...prolog.terms.types import Functor, Term, Trail
 from ...prolog.terms.unification import unify
 from ...serialization.field_types import COUNT
 from ...serialization.state_fields import StateFields, StateOwner, field
@@ -29,11 +29,9 @@ from ..matches.watermarks import delay_setting
 from ..network.event_rule import EventRule
 from ..network.network_context import NetworkContext
 from ..network.stream_node import StreamNode
-from ..provenance.explanation_terms import Justifier
+from ..provenance.explanation_terms import Justifier, label_of
 from .language_flags import MAX_WATERMARK_DELAY, Flags
 from .program_timers import Timers
-
-_UNLABELED = atom("unlabeled")
 
 _RuleGroups = Dict[Hashable, Dict[EventRule, None]]
 """Rules by a key; the rules of a key are in order."""
@@ -71,11 +69,6 @@ class RuleIndex:
     def find_equal(self, key: Hashable) -> List[EventRule]:
         """Return the rules with an equal definition; see `RuleDefinition.key`."""
         return list(self._by_key.get(key, ()))
-
-
-def label_of(rule: EventRule) -> Term:
-    """Return the label of a rule."""
-    return _UNLABELED if rule.label is None else rule.label
 
 
 def _remove_from_group(groups: _RuleGroups, key: Hashable, rule: EventRule) -> None:

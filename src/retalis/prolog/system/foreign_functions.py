@@ -41,10 +41,10 @@ from typing import (
 
 from ...foundation.displayed_text import format_count
 from ...foundation.errors import RetalisError, UsageError
-from ..machine.errors import PrologError, instantiation_or_type_error, permission_error
+from ..machine.errors import PrologError, indicator, instantiation_or_type_error, permission_error
 from ..machine.machine import Machine
 from ..machine.resource_limits import EntryExecutor
-from ..terms.types import SLASH, Atom, Functor, String, Term, Var, atom, deref, functor
+from ..terms.types import Atom, Functor, String, Term, Var, atom, deref, functor
 from .prolog_system import PrologSystem
 from .value_conversion import argument_converter, to_term
 
@@ -186,7 +186,7 @@ def _define(
     if existing is not None and (
         existing.is_locked or existing.is_library_predicate and existing.is_protected
     ):
-        raise permission_error("modify", "static_procedure", _indicator(key))
+        raise permission_error("modify", "static_procedure", indicator(key))
     if spec.is_generator:
         logic.define_nondeterministic(
             spec.name, spec.arity, _generator_function(executor, function, spec, key)
@@ -267,13 +267,9 @@ def _goal_error(machine: Machine, error: BaseException, key: Functor) -> Retalis
     # An interrupt ends the whole entry. Any other exception of a user's function must not end the program.
     if not isinstance(error, Exception):
         return machine.budget.end_entry(error)
-    context = (functor("context", 2), _indicator(key), Var())
+    context = (functor("context", 2), indicator(key), Var())
     formal = (_PYTHON_ERROR, atom(type(error).__name__), String(str(error)))
     return PrologError((_ERROR, formal, context))
-
-
-def _indicator(key: Functor) -> Term:
-    return (SLASH, atom(key.name), key.arity)
 
 
 def define_use_foreign(
