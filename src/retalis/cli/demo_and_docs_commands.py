@@ -10,7 +10,7 @@ import tempfile
 import webbrowser
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, Callable, Dict, Iterator, Optional, Tuple
+from typing import Any, Callable, Dict, Iterator, Tuple
 
 from ..foundation.errors import UsageError
 from ..foundation.output_files import print_json
@@ -159,10 +159,8 @@ def example_folder() -> Path:
     Raises:
         UsageError: if it is neither in the source tree nor in the installed package.
     """
-    folder = _find_folder(SOURCE_EXAMPLE, INSTALLED_EXAMPLE, "make_bag.py")
-    if folder is None:
-        raise UsageError("the folder examples/nao is neither in the source tree nor in an installed package")
-    return folder
+    error = "the folder examples/nao is neither in the source tree nor in an installed package"
+    return _find_folder(SOURCE_EXAMPLE, INSTALLED_EXAMPLE, "make_bag.py", error)
 
 
 def add_docs_parser(add_command: Callable[..., argparse.ArgumentParser]) -> None:
@@ -199,26 +197,22 @@ def find_site() -> Path:
     Raises:
         UsageError: if it is neither in the source tree nor in the installed package.
     """
-    folder = _find_folder(SOURCE_SITE, INSTALLED_SITE, "index.html")
-    if folder is None:
-        raise UsageError(
-            "the documentation site is not built: run ./install.py docs in a clone of retalis; "
-            "a wheel that is built afterwards contains the site"
-        )
-    return folder
+    error = (
+        "the documentation site is not built: run ./install.py docs in a clone of retalis; "
+        "a wheel that is built afterwards contains the site"
+    )
+    return _find_folder(SOURCE_SITE, INSTALLED_SITE, "index.html", error)
 
 
-def _find_folder(source_folder: Path, installed_folder: Path, content: str) -> Optional[Path]:
-    """Return a folder of the source tree or the installation that contains a file; None if there is none.
+def _find_folder(source_folder: Path, installed_folder: Path, content: str, error: str) -> Path:
+    """Return a folder, given below the root of the source tree and of the installation, that contains a file.
 
-    Args:
-        source_folder: the folder below the root of the source tree.
-        installed_folder: the folder below the root of the installation.
-        content: name of the file.
+    Raises:
+        UsageError: with the text ``error`` if there is none.
     """
     # The root is some parent of this module: how many levels above it depends on the kind of installation.
     for root in Path(__file__).resolve().parents:
         for folder in (root / source_folder, root / installed_folder):
             if (folder / content).is_file():
                 return folder
-    return None
+    raise UsageError(error)

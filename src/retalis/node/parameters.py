@@ -384,38 +384,38 @@ class _GivenParameters:
         """Return the value of a parameter."""
         return self._values.get(name, default)
 
+    def _texts(self, name: str, description: str, needs_item: bool = False) -> Tuple[str, ...]:
+        value = self.get(name, [])
+        is_list = isinstance(value, list) and all(isinstance(item, str) for item in value)
+        if not is_list or (needs_item and not value):
+            raise UsageError(f"parameter ~{name}: expected a list of {description}, found {value!r}")
+        return tuple(value)
+
     def folders(self, name: str) -> Tuple[str, ...]:
         """Return the folders that a parameter lists."""
-        value = self.get(name, [])
-        if not isinstance(value, list) or not all(isinstance(item, str) for item in value):
-            raise UsageError(f"parameter ~{name}: expected a list of folders, found {value!r}")
-        return tuple(value)
+        return self._texts(name, "folders")
 
     def service_patterns(self, name: str) -> Tuple[str, ...]:
         """Return the names of services that a parameter lists."""
-        value = self.get(name, [])
-        if not isinstance(value, list) or not all(isinstance(item, str) for item in value):
-            raise UsageError(f"parameter ~{name}: expected a list of services, found {value!r}")
-        for item in value:
+        patterns = self._texts(name, "services")
+        for item in patterns:
             if item[:1] not in ("/", "*") or topic_fault(item.replace("*", "a")) is not None:
                 raise UsageError(
                     f"parameter ~{name}: expected full names of services, as /arm/* or /dock, found {item!r}"
                 )
-        return tuple(value)
+        return patterns
 
     def topic_patterns(self, name: str) -> Tuple[str, ...]:
         """Return the names of topics that a parameter lists, at least one."""
-        value = self.get(name, [])
-        if not isinstance(value, list) or not value or not all(isinstance(item, str) for item in value):
-            raise UsageError(f"parameter ~{name}: expected a list of topics, found {value!r}")
-        for item in value:
+        patterns = self._texts(name, "topics", needs_item=True)
+        for item in patterns:
             # A relative name is resolved in the namespace of the node, which a pattern cannot be.
             is_relative_pattern = "*" in item and item[:1] not in ("/", "*")
             if is_relative_pattern or topic_fault(item.replace("*", "a")) is not None:
                 raise UsageError(
                     f"parameter ~{name}: expected names of topics, as alarm or /arm/*, found {item!r}"
                 )
-        return tuple(value)
+        return patterns
 
     def path(self, name: str) -> Optional[Path]:
         """Return the absolute path in a parameter; None if it is empty."""

@@ -12,7 +12,7 @@ from typing import Dict, Iterable, Iterator, List, NamedTuple, Sequence, Tuple
 from ..editing.clause_reader import ClauseReader, ParsedClause
 from ..foundation.displayed_text import format_count, printable
 from ..foundation.output_files import write_text
-from .rule_coverage import CLAUSE, PART_TYPES, RULE, CoveredPart, covered_percentage
+from .rule_coverage import CLAUSE, PART_TYPES, RULE, CoveredPart, covered_percentage, group_by_line
 
 MAX_SOURCE_LINES = 20_000
 """Maximum number of lines of a file that are shown."""
@@ -165,18 +165,8 @@ def _format_coverage(parts: Sequence[CoveredPart]) -> Iterator[str]:
         f'<span class="{status}">{_SIGNS[status]} {meaning}</span>' for status, meaning in _MEANINGS.items()
     )
     yield f'<p class="legend">{legend}</p>'
-    for file_name, parts_by_line in _group_by_file(parts).items():
+    for file_name, parts_by_line in group_by_line(parts).items():
         yield from _format_file(file_name, parts_by_line)
-
-
-def _group_by_file(parts: Iterable[CoveredPart]) -> Dict[str, Dict[int, List[CoveredPart]]]:
-    """Return the parts by file and line."""
-    files: Dict[str, Dict[int, List[CoveredPart]]] = {}
-    for part in parts:
-        file_name, _, line = part.place.rpartition(":")
-        if file_name and line.isdecimal():
-            files.setdefault(file_name, {}).setdefault(int(line), []).append(part)
-    return files
 
 
 def _format_file(file_name: str, parts_by_line: Dict[int, List[CoveredPart]]) -> Iterator[str]:

@@ -221,6 +221,16 @@ def format_coverage(parts: Sequence[CoveredPart]) -> Iterator[str]:
     yield f"{covered_percentage(parts):.0f} % covered"
 
 
+def group_by_line(parts: Iterable[CoveredPart]) -> Dict[str, Dict[int, List[CoveredPart]]]:
+    """Return the parts by file and line."""
+    files: Dict[str, Dict[int, List[CoveredPart]]] = {}
+    for part in parts:
+        file_name, _, line = part.place.rpartition(":")
+        if file_name and line.isdecimal():
+            files.setdefault(file_name, {}).setdefault(int(line), []).append(part)
+    return files
+
+
 def write_cobertura_report(path: Path, parts: Sequence[CoveredPart]) -> None:
     """Write the coverage of rules and clauses as Cobertura XML.
 
@@ -230,11 +240,7 @@ def write_cobertura_report(path: Path, parts: Sequence[CoveredPart]) -> None:
     Raises:
         UsageError: if the file cannot be written.
     """
-    lines: Dict[str, Dict[int, List[CoveredPart]]] = {}
-    for part in parts:
-        file_name, _, line = part.place.rpartition(":")
-        if file_name and line.isdecimal():
-            lines.setdefault(file_name, {}).setdefault(int(line), []).append(part)
+    lines = group_by_line(parts)
     rates = _compute_rates(
         [line_parts for file_lines in lines.values() for line_parts in file_lines.values()]
     )

@@ -60,7 +60,7 @@ from ..machine.errors import (
 from ..machine.machine import LAST, RESUME, Code
 from ..terms.array_terms import element, element_count, list_array, sum_of_integers, view
 from ..terms.list_terms import list_items, list_parts, make_list
-from ..terms.term_traversal import CYCLE_CHECK_ROUND, MAX_STEPS, WALK_ROUNDS, require_acyclic
+from ..terms.term_traversal import CYCLE_CHECK_ROUND, MAX_STEPS, WALK_ROUNDS, check_steps, require_acyclic
 from ..terms.types import (
     CONS,
     MINUS,
@@ -726,9 +726,7 @@ def _enumerate_items(
         number += 1
         tail = next_tail
         if not number & 1023:
-            check_limits()
-            if number > MAX_STEPS:
-                raise TermTooLarge
+            check_steps(number)
     known_count = number
     # If the tail is also the index there is no solution, because a list is not a number.
     while tail.__class__ is Var and tail is not index:

@@ -30,8 +30,8 @@ from ..machine.errors import (
 from ..terms.list_terms import list_items, list_parts
 from ..terms.term_traversal import (
     CYCLE_CHECK_STEP,
-    MAX_STEPS,
     WALK_ROUNDS,
+    check_steps,
     is_ground,
     require_acyclic,
     resolve,
@@ -338,9 +338,7 @@ def is_variant(left: Term, right: Term) -> bool:
 
 def _check_steps(steps: int, left: Term, right: Term) -> None:
     """Check the limits of the goal, and raise `TermTooLarge` for cyclic or too large terms."""
-    check_limits()
-    if steps > MAX_STEPS:
-        raise TermTooLarge
+    check_steps(steps)
     if steps == CYCLE_CHECK_STEP:
         require_acyclic((MINUS, left, right))
 

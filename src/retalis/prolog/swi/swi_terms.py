@@ -18,7 +18,7 @@ from ...foundation.limit_checks import STEPS_PER_ROUND, check_limits
 from ..machine.errors import representation_error, resource_error
 from ..syntax.literals import integer
 from ..terms.list_terms import make_list
-from ..terms.term_traversal import MAX_STEPS
+from ..terms.term_traversal import MAX_STEPS, check_steps
 from ..terms.types import CONS, NIL, Atom, Functor, String, Term, Var, atom, deref, functor
 from .libswipl import ATOM_TEXT, INTEGER_TEXT, STRING_TEXT, SwiLibrary
 
@@ -265,9 +265,7 @@ class SwiTerms:
             ref, term = stack.pop()
             steps += 1
             if not steps & _CHECK_INTERVAL_MASK:
-                check_limits()
-                if steps > MAX_STEPS:
-                    raise TermTooLarge
+                check_steps(steps)
             term = deref(term)
             put = put_functions.get(term.__class__)
             if put is not None:
@@ -431,9 +429,7 @@ class SwiTerms:
         while True:
             steps += 1
             if not steps & _CHECK_INTERVAL_MASK:
-                check_limits()
-                if steps > MAX_STEPS:
-                    raise TermTooLarge
+                check_steps(steps)
             part = parts.next_part()
             if part is None:
                 term = parts.build_term()

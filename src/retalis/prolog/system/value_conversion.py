@@ -29,7 +29,7 @@ from ..machine.errors import instantiation_error, type_error
 from ..syntax.term_writer import writeq
 from ..terms.array_terms import array_term
 from ..terms.list_terms import list_items, make_list
-from ..terms.term_traversal import MAX_STEPS
+from ..terms.term_traversal import MAX_STEPS, check_steps
 from ..terms.types import (
     CONS,
     FALSE,
@@ -93,9 +93,7 @@ def to_python(term: Term) -> Any:
     while stack:
         steps += 1
         if not steps & _CHECK_MASK:
-            check_limits()
-            if steps > MAX_STEPS:
-                raise TermTooLarge
+            check_steps(steps)
         top = stack.pop()
         # The values of its parts are the last ones, and are replaced by the value of the whole.
         if isinstance(top, _PendingParts):
@@ -234,9 +232,7 @@ def _read_items(value: Any) -> List[Any]:
     for count, item in enumerate(iterator, 1):
         items.append(item)
         if not count & _CHECK_MASK:
-            check_limits()
-            if count > MAX_STEPS:
-                raise TermTooLarge
+            check_steps(count)
     return items
 
 
