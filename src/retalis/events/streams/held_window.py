@@ -506,12 +506,7 @@ class HeldHoppingWindow(SteppedWindow, HeldWindow):
         ]
         next_end = instant + self.slide
         self._remove_all_before(next_end - self.span)
-        if self.states:
-            self.next_deadline = next_end
-        elif self._future_elements:
-            self.next_deadline = max(next_end, (self._future_elements[0][0] // self.slide + 1) * self.slide)
-        else:
-            self.next_deadline = None
+        self._schedule_after(next_end)
         return outputs
 
     def _remove_all_before(self, begin: int) -> None:
@@ -520,17 +515,8 @@ class HeldHoppingWindow(SteppedWindow, HeldWindow):
 
     def open_windows(self, now: int) -> List[OpenWindow]:
         """See `Window.open_windows`."""
-        if self.next_deadline is None:
-            return []
-        windows: Dict[Tuple[int, Hashable], List[StreamElement]] = {}
         held_elements = [element for signal in self.states.values() for element in signal.elements]
-        for element in [*held_elements, *self.future_elements]:
-            window_end = max((element.end // self.slide + 1) * self.slide, self.next_deadline)
-            windows.setdefault((window_end, element.key), []).append(element)
-        return [
-            OpenWindow(elements[0].key_values, len(elements), end - self.span, end)
-            for (end, _), elements in sorted(windows.items(), key=lambda window: window[0][0])
-        ]
+        return self._group_by_window([*held_elements, *self.future_elements])
 
 
 def _first_order(signal: HeldSignal) -> int:

@@ -766,6 +766,8 @@ class SteppedWindow(Window):
     subclass creates the heap of these elements, by their ends.
     """
 
+    span: int
+    slide: int
     _future_elements: List[Tuple[int, int, StreamElement]]
 
     def __len__(self) -> int:
@@ -798,6 +800,30 @@ class SteppedWindow(Window):
     def _emit_at(self, instant: int) -> List[StreamOutput]:
         """Return the results of the windows that end at an instant, and set the next deadline."""
         raise NotImplementedError
+
+    def _schedule_after(self, next_end: int) -> None:
+        """Set the next deadline, at ``next_end`` or later.
+
+        While elements remain, every multiple has a result; otherwise windows without elements are skipped.
+        """
+        if self.states:
+            self.next_deadline = next_end
+        elif self._future_elements:
+            self.next_deadline = max(next_end, (self._future_elements[0][0] // self.slide + 1) * self.slide)
+        else:
+            self.next_deadline = None
+
+    def _group_by_window(self, elements: Sequence[StreamElement]) -> List[OpenWindow]:
+        """Return the open windows; of overlapping windows, an element counts in the one that ends first."""
+        windows: Dict[Tuple[int, Hashable], List[StreamElement]] = {}
+        for element in elements:
+            first_end = (element.end // self.slide + 1) * self.slide
+            window_end = first_end if self.next_deadline is None else max(first_end, self.next_deadline)
+            windows.setdefault((window_end, element.key), []).append(element)
+        return [
+            OpenWindow(group[0].key_values, len(group), end - self.span, end)
+            for (end, _), group in sorted(windows.items(), key=lambda window: window[0][0])
+        ]
 
 
 class HoppingWindow(SteppedWindow, _SingleWindow):
@@ -882,22 +908,12 @@ class HoppingWindow(SteppedWindow, _SingleWindow):
         return all(present.end < min_end for present in present_elements(keyed_window.elements))
 
     def open_windows(self, now: int) -> List[OpenWindow]:
-        """See `Window.open_windows`; of overlapping windows, an element counts in the one that ends first."""
-        windows: Dict[Tuple[int, Hashable], List[StreamElement]] = {}
+        """See `Window.open_windows`."""
         present = [
             element for window in self.states.values() for element in present_elements(window.elements)
         ]
-        for element in [
-            *present,
-            *(element for _, _, element in sorted(self._future_elements, key=itemgetter(1))),
-        ]:
-            first_end = (element.end // self.slide + 1) * self.slide
-            window_end = first_end if self.next_deadline is None else max(first_end, self.next_deadline)
-            windows.setdefault((window_end, element.key), []).append(element)
-        return [
-            OpenWindow(elements[0].key_values, len(elements), end - self.span, end)
-            for (end, _), elements in sorted(windows.items(), key=lambda window: window[0][0])
-        ]
+        future = (element for _, _, element in sorted(self._future_elements, key=itemgetter(1)))
+        return self._group_by_window([*present, *future])
 
     def _emit_at(self, instant: int) -> List[StreamOutput]:
         self._remove_before(instant - self.span)
@@ -923,15 +939,9 @@ class HoppingWindow(SteppedWindow, _SingleWindow):
             )
             for output in self._emit(keyed_window, instant - self.span, instant)
         ]
-        # While elements remain, every multiple has a result; otherwise windows without elements are skipped.
         next_end = instant + self.slide
         self._remove_before(next_end - self.span)
-        if self.states:
-            self.next_deadline = next_end
-        elif self._future_elements:
-            self.next_deadline = max(next_end, (self._future_elements[0][0] // self.slide + 1) * self.slide)
-        else:
-            self.next_deadline = None
+        self._schedule_after(next_end)
         return outputs
 
     def _schedule_removal(self, element: StreamElement) -> None:
