@@ -96,13 +96,12 @@ class EditorClient:
         document = {"uri": uri, "languageId": "retalis", "version": 1, "text": content}
         self.notify("textDocument/didOpen", textDocument=document)
 
-    def change(self, path: Path, text: str, range_: Any = None) -> None:
-        """Replace the text of an open file, or a range of it."""
+    def change(self, path: Path, text: str) -> None:
+        """Replace the text of an open file."""
         uri = path.as_uri()
         self._versions[uri] += 1
-        change = {"text": text} if range_ is None else {"text": text, "range": range_}
         document = {"uri": uri, "version": self._versions[uri]}
-        self.notify("textDocument/didChange", textDocument=document, contentChanges=[change])
+        self.notify("textDocument/didChange", textDocument=document, contentChanges=[{"text": text}])
 
     def close(self, path: Path) -> None:
         """Close a file without saving it."""

@@ -61,10 +61,44 @@ def test_problems_follow_edits(editor: EditorClient, folder: Path) -> None:
     assert (problem["severity"], problem["code"], problem["source"]) == (2, "RT1201", "retalis")
     assert "did you mean seen/1?" in problem["message"]
     assert problem["codeDescription"]["href"].endswith("errors.md#rt1201-event-without-a-source")
-    place = {"start": {"line": 1, "character": 29}, "end": {"line": 1, "character": 32}}
-    editor.change(rules, "seen", place)
+    editor.change(rules, RULES)
     assert editor.problems(rules) == []
     editor.close(rules)
+
+
+@pytest.mark.parametrize("separator", ["\f", "\v", "\x1c", "\x85", "\u2028"])
+def test_separators_of_no_editor_end_no_line(editor: EditorClient, folder: Path, separator: str) -> None:
+    """Only the ends of lines that editors know count, as in a file of Emacs with form feeds between its sections."""
+    rules = folder / "eventRules.txt"
+    text = f"% section{separator}of a file\n{RULES}"
+    editor.open(rules, text)
+    editor.change(rules, text.replace("seq seen(X)", "seq sen(X)"))
+    (problem,) = editor.problems(rules)
+    assert problem["range"]["start"] == {"line": 2, "character": 29}
+    editor.change(rules, text)
+    assert editor.problems(rules) == []
+    uses = editor.at("textDocument/references", rules, 2, 29, context={"includeDeclaration": True})
+    assert places(uses) == [
+        ("goalPredicates.txt", 1, 9, 13),
+        ("goalPredicates.txt", 1, 22, 26),
+        ("eventRules.txt", 1, 0, 4),
+        ("eventRules.txt", 2, 12, 16),
+        ("eventRules.txt", 2, 29, 33),
+    ]
+    editor.close(rules)
+
+
+@pytest.mark.parametrize(("encoding", "column"), [("utf-8", 31), ("utf-16", 29), ("utf-32", 28)])
+def test_columns_are_units_of_encoding(folder: Path, encoding: str, column: int) -> None:
+    editor = EditorClient(encoding=encoding)
+    rules = folder / "eventRules.txt"
+    # Characters of several units precede the position in its line and in the line before it.
+    editor.open(rules, f"% \U0001f916 \xfc\n{RULES}")
+    uses = editor.at("textDocument/references", rules, 2, column, context={"includeDeclaration": False})
+    assert ("eventRules.txt", 2, column, column + 4) in places(uses)
+    hovered = editor.at("textDocument/hover", rules, 1, 1)
+    assert hovered["range"]["end"] == {"line": 1, "character": 4}
+    assert editor.stop() == 0
 
 
 def test_broken_file_keeps_server_working(editor: EditorClient, folder: Path) -> None:

@@ -73,6 +73,13 @@ _COMPLETION_KINDS = {
     "attribute": lsp.CompletionItemKind.Property,
     "value": lsp.CompletionItemKind.EnumMember,
 }
+_POSITION_ENCODINGS = {
+    lsp.PositionEncodingKind.Utf8: ("utf-8", 1),
+    lsp.PositionEncodingKind.Utf16: ("utf-16-le", 2),
+    lsp.PositionEncodingKind.Utf32: ("utf-32-le", 4),
+}
+"""Codec of an encoding of the protocol, and the number of bytes of a unit."""
+
 _XML_TRIGGERS = ("<", '"')
 """Characters after which an editor requests completions in ``pub_sub.xml``; in rules they mean something else."""
 
@@ -101,7 +108,11 @@ class RetalisServer:
     def __init__(self, settings: ServerSettings):
         self.settings = settings
         self.server = LanguageServer(
-            "retalis", settings.version, text_document_sync_kind=lsp.TextDocumentSyncKind.Incremental
+            "retalis",
+            settings.version,
+            # pygls ends lines also at form feeds and other characters that editors take for text, so that it would
+            # apply a change of a range elsewhere.
+            text_document_sync_kind=lsp.TextDocumentSyncKind.Full,
         )
         self._indexes = ProgramIndexes()
         self._checks: Dict[str, asyncio.TimerHandle] = {}
@@ -145,17 +156,15 @@ class RetalisServer:
         return self._indexes.find(_real_path(uri), self._texts())
 
     def _offset(self, uri: str, position: lsp.Position) -> int:
-        return int(self._document(uri).offset_at_position(position))
+        return self._lines(self._document(uri).source).offset(position)
 
-    def _range(self, lines: "_TextLines", start: int, end: int) -> lsp.Range:
-        """Return a range of the protocol, whose columns are counted in UTF-16 units or as the editor wants."""
-        codec = self.server.workspace.position_codec
-        place = lsp.Range(lines.position(start), lines.position(end))
-        result: lsp.Range = codec.range_to_client_units(lines.lines, place)
-        return result
+    def _lines(self, text: str) -> "_TextLines":
+        """Return the lines of a text, with columns in UTF-16 units or as the editor wants."""
+        encoding = self.server.workspace.position_encoding or lsp.PositionEncodingKind.Utf16
+        return _TextLines(text, lsp.PositionEncodingKind(encoding))
 
     def _range_in_document(self, uri: str, start: int, end: int) -> lsp.Range:
-        return self._range(_TextLines(self._document(uri).source), start, end)
+        return self._lines(self._document(uri).source).range(start, end)
 
     # Problems
 
@@ -189,15 +198,13 @@ class RetalisServer:
         # The address that the editor uses may lead to the file by a link.
         open_uris = [uri for uri in self.server.workspace.text_documents if _real_path(uri) == path]
         uri = open_uris[0] if open_uris else _uri(path)
-        lines = texts[path].split("\n") if path in texts else []
+        lines = self._lines(texts.get(path, ""))
         self.server.publish_diagnostics(uri, [self._diagnostic(problem, lines) for problem in problems])
 
-    def _diagnostic(self, problem: Problem, lines: List[str]) -> lsp.Diagnostic:
+    def _diagnostic(self, problem: Problem, lines: "_TextLines") -> lsp.Diagnostic:
         place = lsp.Range(
-            lsp.Position(problem.line, problem.column), lsp.Position(problem.line, problem.end_column)
+            lines.position(problem.line, problem.column), lines.position(problem.line, problem.end_column)
         )
-        if problem.line < len(lines):
-            place = self.server.workspace.position_codec.range_to_client_units(lines, place)
         page = self.settings.error_page(problem.code)
         return lsp.Diagnostic(
             range=place,
@@ -263,9 +270,9 @@ class RetalisServer:
             for use_in_file in index.uses_of(use.symbol)
             if is_wanted(use_in_file)
         }
-        lines = {path: _TextLines(index.files[path].text) for path in {path for path, _ in places}}
+        lines = {path: self._lines(index.files[path].text) for path in {path for path, _ in places}}
         return [
-            lsp.Location(_uri(file.path), self._range(lines[file.path], use.start, use.end))
+            lsp.Location(_uri(file.path), lines[file.path].range(use.start, use.end))
             for file, use in places.values()
         ]
 
@@ -298,8 +305,8 @@ class RetalisServer:
         )
 
     def _text_edits(self, text: str, edits: Sequence[Edit]) -> List[lsp.TextEdit]:
-        lines = _TextLines(text)
-        return [lsp.TextEdit(self._range(lines, edit.start, edit.end), edit.text) for edit in edits]
+        lines = self._lines(text)
+        return [lsp.TextEdit(lines.range(edit.start, edit.end), edit.text) for edit in edits]
 
     def _on_formatting(self, parameters: lsp.DocumentFormattingParams) -> List[lsp.TextEdit]:
         uri = parameters.text_document.uri
@@ -313,20 +320,50 @@ class RetalisServer:
 
 
 class _TextLines:
-    """Lines of a text, for the conversion of offsets.
+    """Lines of a text, for the conversion between offsets and the positions of the protocol.
 
-    Attributes:
-        lines: the lines without their ends.
+    pygls counts units of UTF-16 before the line as characters, and ends lines at more characters than editors do.
+
+    Args:
+        text: the text.
+        encoding: encoding whose units are the columns of positions.
     """
 
-    def __init__(self, text: str):
-        self.lines = text.split("\n")
-        self._starts = list(accumulate((len(line) + 1 for line in self.lines), initial=0))
+    def __init__(self, text: str, encoding: lsp.PositionEncodingKind):
+        self._codec, self._unit_size = _POSITION_ENCODINGS[encoding]
+        self._lines = text.split("\n")
+        self._starts = list(accumulate((len(line) + 1 for line in self._lines), initial=0))
 
-    def position(self, offset: int) -> lsp.Position:
+    def position(self, line: int, column: int) -> lsp.Position:
+        """Return the position of a line and a column, in characters; both count from 0."""
+        text = self._lines[line][:column] if line < len(self._lines) else ""
+        # A column after the end of the line stays there.
+        return lsp.Position(line, self._count_units(text) + column - len(text))
+
+    def range(self, start: int, end: int) -> lsp.Range:
+        """Return the range between two offsets in characters."""
+        return lsp.Range(*(self.position(*self._find(offset)) for offset in (start, end)))
+
+    def offset(self, position: lsp.Position) -> int:
+        """Return the offset of a position in characters; the end of its line, or of the text, if it is after it."""
+        if position.line >= len(self._lines):
+            return self._starts[-1] - 1
+        units = column = 0
+        for character in self._lines[position.line]:
+            if units >= position.character:
+                break
+            units += self._count_units(character)
+            column += 1
+        return self._starts[position.line] + column
+
+    def _find(self, offset: int) -> Tuple[int, int]:
         """Return the line and the column of an offset, in characters."""
-        line = min(bisect_right(self._starts, offset), len(self.lines)) - 1
-        return lsp.Position(line, offset - self._starts[line])
+        line = min(bisect_right(self._starts, offset), len(self._lines)) - 1
+        return line, offset - self._starts[line]
+
+    def _count_units(self, text: str) -> int:
+        # Editors can send halves of surrogate pairs.
+        return len(text.encode(self._codec, "surrogatepass")) // self._unit_size
 
 
 def _failure(error: RetalisError) -> JsonRpcException:
