@@ -175,10 +175,17 @@ class InstalledTypes:
 
     def types(self, package: str) -> List[str]:
         """Return the names of the types of a package in alphabetical order; empty for an unknown package."""
+        names = self._list_types_in_folders(package)
+        return sorted(names.union(_list_rosbags_types().get(package, ())) if self._include_rosbags else names)
+
+    def has_package(self, package: str) -> bool:
+        """Return whether a package with messages is installed; rosbags has only the types of some distributions."""
+        return bool(self._list_types_in_folders(package))
+
+    def _list_types_in_folders(self, package: str) -> Set[str]:
         folders = [*self._extra_folders.message_folders(package), *self._folders.message_folders(package)]
         folders += [os.path.join(folder, package, "msg") for folder in self._module_folders]
-        names = {name for folder in folders for name in _list_type_names(folder)}
-        return sorted(names.union(_list_rosbags_types().get(package, ())) if self._include_rosbags else names)
+        return {name for folder in folders for name in _list_type_names(folder)}
 
     def packages(self) -> List[str]:
         """Return the names of the packages that have messages, in alphabetical order."""
@@ -756,6 +763,15 @@ class Definitions:
             if matches and (candidate == package or matches[0] == type_name):
                 return f"{candidate}/{matches[0]}"
         return ""
+
+    def is_missing_in_package(self, name: str) -> bool:
+        """Return whether a type is unknown although its package is installed, with other types.
+
+        >>> Definitions().is_missing_in_package("my_robot/Unknown")
+        False
+        """
+        name = ros1_type_name(name)
+        return name not in self and self._installed.has_package(name.partition("/")[0])
 
     def misspelt_interface(self, name: str, folder_name: str) -> str:
         """Return a known service or action with a similar name, as a suggestion for an unknown one.

@@ -233,6 +233,41 @@ def test_distinguishable_topics_are_not_reported(
     assert shared_events(tmp_path, definitions, topics, rules) == []
 
 
+def test_type_that_installed_package_lacks_is_reported(tmp_path: Path) -> None:
+    types = tmp_path / "types" / "door_msgs" / "msg"
+    types.mkdir(parents=True)
+    (types / "Door.msg").write_text("bool open\n")
+    (tmp_path / "goalPredicates.txt").write_text("compile_event_file('eventRules.txt')\n")
+    (tmp_path / "eventRules.txt").write_text("moved(X) <- door_msgs__0__Doors(X).\n")
+    topics = [
+        '<subscribe_to name="door" msg_type="door_msgs/Door"/>',
+        '<publish_to name="moved" msg_type="door_msgs/Movement"/>',
+        # A publisher defines the types of a package that is not installed.
+        '<subscribe_to name="lift" msg_type="lift_msgs/Lift"/>',
+    ]
+    (tmp_path / "pub_sub.xml").write_text(
+        f"<publish_subscribe>\n{chr(10).join(topics)}\n</publish_subscribe>"
+    )
+    definitions = Definitions(InstalledTypes(extra_folders=[str(tmp_path / "types")]))
+    found = [finding.problem for finding in check_program(tmp_path, definitions)]
+    assert [(problem.code, problem.message) for problem in found if problem.code in ("RT1101", "RT1104")] == [
+        (
+            "RT1101",
+            "there is no message type door_msgs/Movement: the installed package door_msgs does not have it",
+        ),
+        ("RT1104", "there is no message type door_msgs/Doors here; did you mean door_msgs/Door?"),
+    ]
+
+
+def test_advice_for_invalid_topic_is_its_fault(tmp_path: Path, definitions: Definitions) -> None:
+    (tmp_path / "pub_sub.xml").write_text("<publish_subscribe/>")
+    (tmp_path / "goalPredicates.txt").write_text("subscribe(a(X), [], _, 'front door', warn)\n")
+    findings = check_program(tmp_path, definitions)
+    (message,) = [finding.problem.message for finding in findings if finding.problem.code == "RT1102"]
+    assert "publish_to" not in message
+    assert message.endswith("found 'front door': ' ' is not allowed in it")
+
+
 def test_exchanged_topic_and_id_are_named(tmp_path: Path, definitions: Definitions) -> None:
     (tmp_path / "pub_sub.xml").write_text(
         '<publish_subscribe><publish_to name="warn" msg_type="my_msgs/Flag"/></publish_subscribe>'

@@ -11,7 +11,7 @@ from xml.parsers import expat
 
 from ...foundation.displayed_text import format_count, printable, shorten
 from ...foundation.errors import RuleError, UsageError
-from ...foundation.ros_name_checks import ros1_type_name, strip_slashes
+from ...foundation.ros_name_checks import ros1_type_name, strip_slashes, topic_fault
 from ...foundation.similar_names import closest_name, did_you_mean
 from ...foundation.source_places import Place, place_at_column
 from ...messages.action_events import STATUS, STATUSES, find_action_event
@@ -100,8 +100,13 @@ def _types_of_topics(program: ProgramModel) -> List[str]:
 
 
 def _is_defined_later(program: ProgramModel, type_name: str) -> bool:
-    """Return whether a type may be received from its publishers later: it is unknown and not a misspelling."""
-    return program.definition(type_name) is None and not program.definitions.misspelt(type_name)
+    """Return whether a type may be received from its publishers later: it is unknown and not a mistake."""
+    definitions = program.definitions
+    return (
+        program.definition(type_name) is None
+        and not definitions.misspelt(type_name)
+        and not definitions.is_missing_in_package(type_name)
+    )
 
 
 def _subterms_named_as_messages(program: ProgramModel) -> Iterator[Tuple[Subterm, str]]:
@@ -361,9 +366,11 @@ def find_untyped_topics(program: ProgramModel) -> Iterator[RuleError]:
         ):
             continue
         reported.add(topic)
+        # An element of `pub_sub.xml` cannot help a name that ROS does not allow.
+        fault = topic_fault(topic)
         yield RuleError(
             f"topic {shorten(topic)} has no type: its events are published only as text on retalisOutputEvents"
-            f"{_advise_topic(program, subscription, topic, published)}",
+            + (f"; {fault}" if fault else _advise_topic(program, subscription, topic, published)),
             subscription.place_of(subscription.term, 4),
         )
 
@@ -607,6 +614,11 @@ def _find_misspelt_type(program: ProgramModel, type_name: str, place: Optional[P
     closest = program.definitions.misspelt(type_name)
     if closest:
         yield RuleError(f"there is no message type {type_name}; did you mean {closest}?", place)
+    elif program.definitions.is_missing_in_package(type_name):
+        package = ros1_type_name(type_name).partition("/")[0]
+        yield RuleError(
+            f"there is no message type {type_name}: the installed package {package} does not have it", place
+        )
 
 
 def _explain_duplicate_topic(element: Element, first: Element, topic: str, type_name: str) -> str:
