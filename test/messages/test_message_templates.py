@@ -58,6 +58,15 @@ def check_templates(definition: Any) -> None:
     assert DEFINITIONS.encoder(definition).encode(read(text)[0]) == data
 
 
+def test_large_message_with_zeros_is_refused() -> None:
+    definitions = Definitions()
+    definition = definitions.add("large_msgs/Map", "uint8[1000000000] cells\n")
+    with pytest.raises(
+        MessageError, match="a message of large_msgs/Map has 1000000000 bytes: expected at most 1000000 bytes"
+    ):
+        format_with_zeros(definition, definitions)
+
+
 @pytest.mark.slow
 def test_templates_of_installed_types_are_read() -> None:
     store: Any = get_typestore(Stores.ROS1_NOETIC)

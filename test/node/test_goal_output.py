@@ -22,6 +22,21 @@ def test_printed_lines_have_mark_and_are_complete(capsys: pytest.CaptureFixture[
     assert capsys.readouterr().out == "| c\n"
 
 
+@pytest.mark.parametrize(
+    ("text", "shown"),
+    [
+        (f"a\r{FORGED}", f"a\\r{FORGED}"),
+        (f"\x1b[2K\x1b[1G{FORGED}", f"\\x1b[2K\\x1b[1G{FORGED}"),
+        ("\udcff\t\u00fc", "\\udcff\t\u00fc"),
+    ],
+)
+def test_control_characters_of_line_are_escaped(
+    capsys: pytest.CaptureFixture[str], text: str, shown: str
+) -> None:
+    PrintedLines("stdout")(f"{text}\nb\n")
+    assert capsys.readouterr().out == f"| {shown}\n| b\n"
+
+
 def test_long_line_is_split(capsys: pytest.CaptureFixture[str]) -> None:
     PrintedLines("stderr")("x" * (2 * MAX_PRINTED_LINE_CHARACTERS + 1))
     assert capsys.readouterr().err == f"| {'x' * MAX_PRINTED_LINE_CHARACTERS}\n" * 2
@@ -41,5 +56,7 @@ def test_records_are_counted_once() -> None:
     logger.info("three")
     logger.error("counted by reports", extra={COUNTED_ATTRIBUTE: True})
     with counts.skipping(True):
+        with counts.skipping(False):
+            logger.warning("within")
         logger.error("counted elsewhere")
-    assert (counts.errors, counts.warnings) == (1, 1)
+    assert (counts.errors, counts.warnings) == (1, 2)

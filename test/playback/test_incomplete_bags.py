@@ -292,6 +292,17 @@ def test_folder_with_other_files_is_not_bag(tmp_path: Path) -> None:
         open_bag(tmp_path)
 
 
+@pytest.mark.parametrize("other", ["run_00.mcap", "run_0.db3", "run_0.db3.zstd"])
+def test_folder_with_two_files_of_one_number_is_not_bag(tmp_path: Path, other: str) -> None:
+    """Neither of them is left out."""
+    folder = tmp_path / "run"
+    folder.mkdir()
+    for name in ("run_0.mcap", other):
+        (folder / name).write_bytes(mcap([mcap_message(2)]))
+    with pytest.raises(BagError, match="its files are not those of one recording"):
+        open_bag(folder)
+
+
 def test_compressed_messages_need_no_metadata(tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
     path.write_bytes(mcap([mcap_message(1, zstd(cdr(b"hello"))) + mcap_message(2, cdr(b"bye"))]))

@@ -187,6 +187,18 @@ def test_size_of_latched_messages_is_limited(
     assert reports.warnings == 1
 
 
+def test_latched_message_beyond_limit_leaves_others(
+    make_buffer: Any, reports: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(internode_delivery, "MAX_BUFFERED_BYTES", 10)
+    buffer = make_buffer()
+    for key, size in (("a", 1), ("b", 1), ("b", 11), ("c", 11)):
+        buffer.latch(key, key.encode, size)
+    # An old message is not stored in place of a newer one.
+    assert set(buffer.latched_batch_numbers()) == {"a"}
+    assert reports.warnings == 2
+
+
 def test_discard_keeps_newer_latched_messages(topic_writer: Any, make_buffer: Any) -> None:
     buffer = make_buffer()
     for key in ("a", "b"):

@@ -7,6 +7,7 @@
 from typing import Dict, Iterator, List, NamedTuple, Optional, Set
 
 from ..foundation.displayed_text import format_count
+from ..foundation.errors import MessageError
 from ..prolog.syntax.event_text import to_text
 from ..prolog.syntax.term_writer import write_term
 from ..prolog.terms.term_traversal import copy
@@ -20,6 +21,9 @@ SENSOR_PREDICATES = {
     "sensor_msgs/PointCloud2": ("cloud_box/4", "cloud_field/3", "cloud_near/4"),
 }
 """Predicates whose first argument is a message, by its type."""
+
+MAX_ZERO_BYTES = 1_000_000
+"""Maximum size of a message with default values, in bytes. One line of a definition can state a huge array."""
 
 _INDENT = "    "
 
@@ -60,11 +64,20 @@ def format_with_names(definition: Definition) -> str:
 def format_with_zeros(definition: Definition, definitions: Definitions) -> str:
     """Return the message of a type with default values, on one line.
 
+    Raises:
+        MessageError: if the message would have more than `MAX_ZERO_BYTES`, because the type has large fixed arrays.
+
     >>> definitions = Definitions()
     >>> print(format_with_zeros(definitions.find("std_msgs/Header"), definitions), end="")
     std_msgs__0__Header(0,[0,0],'""')
     """
-    return write_term(copy(definitions.decoder(definition).decode(bytes(definition.measure.min_size)))) + "\n"
+    size = definition.measure.min_size
+    if size > MAX_ZERO_BYTES:
+        raise MessageError(
+            f"a message of {definition.name} has {_format_size(definition.measure)}: "
+            f"expected at most {MAX_ZERO_BYTES} bytes for a message with default values"
+        )
+    return write_term(copy(definitions.decoder(definition).decode(bytes(size)))) + "\n"
 
 
 class _Template:

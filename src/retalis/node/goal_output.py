@@ -1,7 +1,7 @@
 """Output of goals, errors, and numbers of problems in the log of a node.
 
 Printed lines contain text from outside, for example from messages. To prevent forged log lines, lines that goals
-print begin with `PRINTED_LINE_PREFIX`.
+print begin with `PRINTED_LINE_PREFIX`, and control characters in them, such as a carriage return, are escaped.
 """
 
 import logging
@@ -11,6 +11,7 @@ from contextlib import contextmanager
 from typing import Callable, Iterator, List
 
 from ..engine.runtime.problem_reports import COUNTED_ATTRIBUTE
+from ..foundation.displayed_text import printable
 from ..foundation.errors import ProgramErrors, RetalisError
 from ..prolog.system.prolog_system import PrologSystem
 
@@ -28,11 +29,12 @@ class LogCounts(logging.Handler):
     @contextmanager
     def skipping(self, is_counted: bool) -> Iterator[None]:
         """Do not count the records of this thread, if they are counted elsewhere."""
+        was_counted = getattr(self._thread_state, "is_counted", False)
         self._thread_state.is_counted = is_counted
         try:
             yield
         finally:
-            self._thread_state.is_counted = False
+            self._thread_state.is_counted = was_counted
 
     def emit(self, record: logging.LogRecord) -> None:
         """Count a record."""
@@ -77,9 +79,9 @@ class PrintedLines:
             ]
             self._incomplete_line = self._incomplete_line[size:]
         stream = getattr(sys, self._stream)
+        # None if the node was started with it closed.
         if lines and stream is not None:
-            # None if the node was started with it closed.
-            stream.write("".join(f"{PRINTED_LINE_PREFIX}{line}\n" for line in lines))
+            stream.write("".join(f"{PRINTED_LINE_PREFIX}{printable(line)}\n" for line in lines))
 
     def end(self) -> None:
         """Print the last line if it is incomplete."""

@@ -445,11 +445,18 @@ def _list_parts(folder_name: str, names: Iterable[str]) -> List[str]:
         # A folder with a file of another name is a folder of bags.
         if base != folder_name or not number.isdecimal() or len(number) > 9:
             return []
-        # While a recorder compresses a file, both exist, and the compressed one is not complete.
         part = parts.setdefault(int(number), name)
+        # While a recorder compresses a file, both exist, and the compressed one is not complete. Other files of one
+        # number are those of two recordings.
+        if _strip_compression(part) != _strip_compression(name):
+            return []
         if part.endswith(_COMPRESSED_SUFFIX):
             parts[int(number)] = name
     return [parts[number] for number in sorted(parts)]
+
+
+def _strip_compression(name: str) -> str:
+    return name[: -len(_COMPRESSED_SUFFIX)] if name.endswith(_COMPRESSED_SUFFIX) else name
 
 
 def _read_metadata(path: Path) -> Tuple[List[Path], bool, Optional[int]]:

@@ -193,6 +193,9 @@ class LatePeerBuffer:
     def latch(self, key: Hashable, serialize: Callable[[], bytes], size: int) -> None:
         """Store the latched message that the next call of `send` delivers, for peers that connect later.
 
+        If there are too many, the oldest ones are dropped with a warning. A message that exceeds the limit alone is
+        not stored, with a warning.
+
         Args:
             key: identifies the topic and, for input topics, the publisher; a newer message with the same key
                 replaces this one.
@@ -200,6 +203,11 @@ class LatePeerBuffer:
             size: size of the stored message in bytes.
         """
         self._discard_latched(key)
+        if size > MAX_BUFFERED_BYTES:
+            self._reports.warning(
+                f"a latched message has {size} bytes: {self.peer.title} does not get it if it is started again"
+            )
+            return
         while self._latched and (
             len(self._latched) >= MAX_LATCHED_MESSAGES or self._latched_bytes + size > MAX_BUFFERED_BYTES
         ):

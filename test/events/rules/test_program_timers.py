@@ -130,6 +130,19 @@ def test_cancel_compares_candidates_only(monkeypatch: pytest.MonkeyPatch) -> Non
     assert engine.query("cancel_timer(_, N)")[0]["N"] == 48
 
 
+def test_cancel_by_pattern_compares_events_of_first_argument(monkeypatch: pytest.MonkeyPatch) -> None:
+    compared: List[Any] = []
+    monkeypatch.setattr(program_timers, "may_unify", recording(compared, may_unify))
+    engine = load_engine("\n".join(f"timer(a({number}, f(b)), after(9))" for number in range(50)))
+    engine.load(goals="timer(a(_, f(c)), after(9))\ntimer(a, after(9))\ntimer(b(7, f(b)), after(9))")
+    assert engine.query("cancel_timer(a(7, f(X)), N)")[0]["N"] == 2
+    assert len(compared) == 2
+    assert engine.query("cancel_timer(a(X, f(b)), N)")[0]["N"] == 49
+    assert engine.query("cancel_timer(a, N)") == [{"N": 1}]
+    assert engine.query("cancel_timer(c(_), N)")[0]["N"] == 0
+    assert engine.query("cancel_timer(_, N)")[0]["N"] == 1
+
+
 @pytest.mark.parametrize(
     "goal", ["timer(3, every(1))", "timer(a, evry(1))", "timer(_, every(1))", "timer(a, _)"]
 )

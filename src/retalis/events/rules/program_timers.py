@@ -18,6 +18,7 @@ from typing import (
     NamedTuple,
     Optional,
     Sequence,
+    Tuple,
 )
 
 from ...foundation.displayed_text import format_count
@@ -29,7 +30,7 @@ from ...prolog.system.prolog_system import PrologSystem
 from ...prolog.terms.list_terms import make_list
 from ...prolog.terms.term_traversal import copy, freeze, term_key
 from ...prolog.terms.timestamps import SECOND, lazy_term
-from ...prolog.terms.types import Term, atom, deref, functor
+from ...prolog.terms.types import Term, Var, atom, deref, functor, functor_of
 from ...prolog.terms.unification import may_unify
 from ...serialization.field_types import CALLABLE_TERM, COUNT, INSTANT, TERM, optional
 from ...serialization.state_fields import StateFields, StateOwner, field, rows_of
@@ -72,60 +73,91 @@ class ProgramTimer:
 
     Attributes:
         key: identity of the timer: its event and schedule.
-        event_key: key of the event; None for an event with variables.
+        index_key: functor, first argument and whole event, the last two as keys; None for one with variables, and for
+            a missing argument.
         instant: the next instant; None before the clock has a time.
         alarm_instant: instant of the alarm in the clock, at most `instant`; None if there is no alarm.
     """
 
-    __slots__ = ("key", "event_key", "event", "schedule", "instant", "alarm_instant")
+    __slots__ = ("key", "index_key", "event", "schedule", "instant", "alarm_instant")
 
     def __init__(self, event: Term, schedule: Schedule):
         self.key: Hashable = term_key((TIMER, event, schedule.term))
-        self.event_key = _event_key(event)
+        self.index_key = _index_key(event)
         self.event = event
         self.schedule = schedule
         self.instant: Optional[int] = None
         self.alarm_instant: Optional[int] = None
 
 
-def _event_key(event: Term) -> Hashable:
+_IndexKey = Tuple[Hashable, Hashable, Hashable]
+
+
+def _index_key(event: Any) -> _IndexKey:
+    """Return the key of an event or of a pattern that is not a variable; see `ProgramTimer`."""
+    first_argument_key = _ground_key(event[1]) if event.__class__ is tuple else None
+    return functor_of(event), first_argument_key, _ground_key(event)
+
+
+def _ground_key(term: Term) -> Hashable:
+    """Return the key of a ground term, or None for a term with variables."""
     try:
-        return freeze(event)
+        return freeze(term)
     except ValueError:
         return None
 
 
 class TimerTable:
-    """Timers by key, oldest first, and by event."""
+    """Timers by key, oldest first, and by event.
+
+    The events are indexed as clauses are, by the functor and the first argument, and ground events as a whole. So a
+    program may cancel each of its timers by a pattern such as ``timeout(Id, _)``.
+    """
 
     def __init__(self, timers: Iterable[ProgramTimer] = ()):
         self.by_key: Dict[Hashable, ProgramTimer] = {}
-        self._by_event_key: Dict[Hashable, Dict[Hashable, ProgramTimer]] = {}
+        self._groups: Dict[Tuple[Hashable, ...], Dict[Hashable, ProgramTimer]] = {}
+        """Timers by each beginning of their index keys."""
         for timer in timers:
             self.add(timer)
 
     def add(self, timer: ProgramTimer) -> None:
         """Add a timer, or replace the one with the same key."""
         self.by_key[timer.key] = timer
-        self._by_event_key.setdefault(timer.event_key, {})[timer.key] = timer
+        for length in (1, 2, 3):
+            self._groups.setdefault(timer.index_key[:length], {})[timer.key] = timer
 
     def remove(self, key: Hashable) -> ProgramTimer:
         """Remove and return a timer."""
         timer = self.by_key.pop(key)
-        timers_of_event = self._by_event_key[timer.event_key]
-        del timers_of_event[key]
-        if not timers_of_event:
-            del self._by_event_key[timer.event_key]
+        for length in (1, 2, 3):
+            group = self._groups[timer.index_key[:length]]
+            del group[key]
+            if not group:
+                del self._groups[timer.index_key[:length]]
         return timer
 
     def find_unifying(self, event: Term) -> List[ProgramTimer]:
-        """Return the timers whose events unify with a term; ground events are found by their key."""
-        key = _event_key(event)
-        if key is None:
-            return [timer for timer in self.by_key.values() if may_unify(timer.event, event)]
-        timers_of_variable_events = self._by_event_key.get(None, {}).values()
-        timers = list(self._by_event_key.get(key, {}).values())
-        return timers + [timer for timer in timers_of_variable_events if may_unify(timer.event, event)]
+        """Return the timers whose events unify with a term."""
+        if event.__class__ is Var:
+            return list(self.by_key.values())
+        functor_key, argument_key, event_key = _index_key(event)
+        # Timers whose event or first argument has variables may unify with any pattern of the functor.
+        if event_key is not None:
+            open_groups = dict.fromkeys(((functor_key, argument_key, None), (functor_key, None, None)))
+            exact_group = self._groups.get((functor_key, argument_key, event_key), {})
+            return [*exact_group.values(), *self._find_in_groups(event, open_groups)]
+        if argument_key is not None:
+            return self._find_in_groups(event, [(functor_key, argument_key), (functor_key, None)])
+        return self._find_in_groups(event, [(functor_key,)])
+
+    def _find_in_groups(self, event: Term, groups: Iterable[Tuple[Hashable, ...]]) -> List[ProgramTimer]:
+        return [
+            timer
+            for group in groups
+            for timer in self._groups.get(group, {}).values()
+            if may_unify(timer.event, event)
+        ]
 
 
 class Timers(StateOwner):
