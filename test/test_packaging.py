@@ -204,7 +204,8 @@ def test_wheel_is_built_without_site(tmp_path: Path) -> None:
 
 def test_installed_command_is_complete(installed: Path, tmp_path: Path) -> None:
     command = installed / "bin" / "retalis"
-    assert run(command, "--version", cwd=tmp_path) == "retalis 1.1.0\n"
+    version = ElementTree.parse(ROOT / "package.xml").getroot().findtext("version")
+    assert run(command, "--version", cwd=tmp_path) == f"retalis {version}\n"
     assert "4x4_1" in run(command, "demo", "--seconds", "3", cwd=tmp_path)
     site = installed / "share" / "retalis" / "docs" / "html" / "index.html"
     assert run(command, "docs", "--print-path", cwd=tmp_path) == f"{site}\n"

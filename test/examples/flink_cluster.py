@@ -87,9 +87,14 @@ class Cluster:
         (folder / "mosquitto.conf").write_text(
             f"listener {self.mqtt_port} 127.0.0.1\nallow_anonymous true\nmax_queued_messages 0\nuser root\n"
         )
-        for name in ("broker", "bridge", "manager", "worker 1", "worker 2"):
-            self.start(name)
-        wait_until(lambda: self.get("/overview").get("taskmanagers") == 2, "two task managers")
+        try:
+            for name in ("broker", "bridge", "manager", "worker 1", "worker 2"):
+                self.start(name)
+            wait_until(lambda: self.get("/overview").get("taskmanagers") == 2, "two task managers")
+        except BaseException:
+            # Nobody else could end the processes of an object that is not complete.
+            self.close()
+            raise
 
     def configure(self, parallelism: int) -> None:
         """Write the configuration of all processes of Flink and of jobs that are started from now on."""

@@ -32,6 +32,7 @@ import sys
 import tempfile
 import threading
 import time
+from functools import partial
 from pathlib import Path
 from typing import Any, Dict, List
 
@@ -219,7 +220,6 @@ class Soak:
         sending.join(TIMEOUT_SECONDS)
         self.settle()
         self.note(time.monotonic() - began)
-        self.processes.end()
 
     def settle(self) -> None:
         """Wait until no pose is received for longer than the period of the diagnostics."""
@@ -232,7 +232,7 @@ class Soak:
     def wait_for_nodes(self) -> None:
         wait_until(self.stream.is_connected)
         for service in ("add_memory", "add_input_subscription"):
-            wait_until(lambda: is_offered(service))  # noqa: B023
+            wait_until(partial(is_offered, service))
 
     def restart(self, began: Any) -> None:
         name = self._random.choice(("master", *NODES))
@@ -295,7 +295,11 @@ def main() -> Any:
     os.environ["ROS_HOSTNAME"] = "127.0.0.1"
     with tempfile.TemporaryDirectory() as folder:
         soak = Soak(options, Path(folder))
-        soak.run()
+        # Also after an error: otherwise the master and the nodes would run on.
+        try:
+            soak.run()
+        finally:
+            soak.processes.end()
     with options.log.open("w", newline="") as out:
         writer = csv.DictWriter(out, list(soak.rows[0]))
         writer.writeheader()

@@ -48,6 +48,7 @@ class Worker:
     Args:
         name: the kind.
         seed: determines the inputs, together with their numbers.
+        scratch: folder in which inputs may write.
         report: receives each finding, as a dictionary.
         progress: file descriptor for the number of the current input and of the first one of its block.
     """
@@ -139,11 +140,14 @@ class Worker:
             resource.setrlimit(resource.RLIMIT_CPU, (MAX_CPU_SECONDS, MAX_CPU_SECONDS))
             self.watch.start_timer()
             before = self.kind.accepted_count, self.kind.refused_count
-            problem = self._process(data)
-            steps = self.kind.accepted_count - before[0], self.kind.refused_count - before[1]
-            finding = None if problem is None else problem.args
-            os.write(write, json.dumps((finding, steps, self.watch.slowest)).encode())
-            os._exit(0)
+            # Whatever the input raises, the child must not go on with the work of its parent.
+            try:
+                problem = self._process(data)
+                steps = self.kind.accepted_count - before[0], self.kind.refused_count - before[1]
+                finding = None if problem is None else problem.args
+                os.write(write, json.dumps((finding, steps, self.watch.slowest)).encode())
+            finally:
+                os._exit(0)
         os.close(write)
         with os.fdopen(read, "rb") as answer:
             text = answer.read()

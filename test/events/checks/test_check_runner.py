@@ -60,3 +60,4 @@ def test_comment_for_file_suppresses_findings(tmp_path: Path) -> None:
 
 def test_errors_cannot_be_suppressed(tmp_path: Path) -> None:
     assert codes_of(tmp_path, "a <- . % retalis: ignore=RT1001\n") == ["RT1001"]
+    assert codes_of(tmp_path, "% retalis: ignore-file=RT1001\na <- .\n") == ["RT1001"]

@@ -58,15 +58,18 @@ def run_program(text: Any, events: Any, max_stored: int) -> Tuple[Any, ...]:
         now += step
         engine.event_at(X(key, x, y), (now - length) * SECOND, now * SECOND)
     [event_rule] = rules.rules
-    clock, following, late_count, order, groups = window_of(rules).snapshot()["stream"].values()
+    state = window_of(rules).snapshot()["stream"]
     elements = [
-        [(element.start, element.end, str(element.values), element.order) for element in members]
-        for _, members in groups
+        [
+            (element.start, element.end, str(element.values), element.order)
+            for element in keyed_window.elements
+        ]
+        for keyed_window in state.pop("keyed_windows")
     ]
     return (
         outputs,
         reports.records,
-        (clock, following, late_count, order, elements),
+        (state, elements),
         event_rule.match_count,
         event_rule.metrics.firing_count,
         event_rule.dropped_count,

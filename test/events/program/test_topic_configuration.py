@@ -353,9 +353,15 @@ def test_direct_topics_are_word_or_list(value: Any, expected: Any) -> None:
     assert read_direct(value) == expected
 
 
-@pytest.mark.parametrize(
-    "value", ["some", 1, None, ["scan"], "[scan]", "[scan, my_msgs/Scan", ["a b", "my_msgs/Scan"], [1, 2]]
-)
+@pytest.mark.parametrize("value", ["some", 1, None, ["scan"], "[scan]", "[scan, my_msgs/Scan", [1, 2]])
 def test_other_direct_topics_are_refused(value: Any) -> None:
-    with pytest.raises(UsageError):
+    with pytest.raises(UsageError) as caught:
         read_direct(value)
+    assert caught.value.message == (
+        f"expected auto, true, false, or a list of topics and types [topic, package/Type, ...], found {value!r}"
+    )
+
+
+def test_invalid_name_of_direct_topic_is_refused() -> None:
+    with pytest.raises(UsageError, match="expected a topic name .*, found 'a b'"):
+        read_direct(["a b", "my_msgs/Scan"])

@@ -22,8 +22,6 @@ PIECES: Tuple[str, ...] = (
     "=",
     "#",
     "\n",
-)
-PIECES += (
     "=" * 80 + "\nMSG: pkg/Type\n",
     "[1000]",
     "[0]",
@@ -35,8 +33,6 @@ PIECES += (
     "const_=",
     "0x",
     "1e9",
-)
-PIECES += (
     "[99999999999]",
     "MSG: ",
     "class ",
