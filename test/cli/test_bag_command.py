@@ -104,6 +104,13 @@ def test_output_to_folder_needs_jobs(bag: Path, tmp_path: Path, capsys: pytest.C
     assert f"--output {tmp_path} is a folder: expected a file; with --jobs," in capsys.readouterr().err
 
 
+def test_output_to_url_needs_jobs(bag: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["bag", str(bag), "--program", PROGRAM, "--output", "s3://fleet/out.bag"]) == 1
+    assert capsys.readouterr().err == (
+        "retalis: --output s3://fleet/out.bag: --jobs writes results to URLs, one for each bag\n"
+    )
+
+
 def test_quiet_option_prints_nothing(bag: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["bag", str(bag), "--program", PROGRAM, "--quiet"]) == 0
     assert capsys.readouterr().out == ""

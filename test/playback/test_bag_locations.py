@@ -189,6 +189,19 @@ def test_incomplete_results_are_removed(tmp_path: Path) -> None:
     assert sorted(path.name for path in tmp_path.iterdir()) == sorted(other_names)
 
 
+def test_result_creates_no_bucket(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    memory = pytest.importorskip("fsspec.implementations.memory").MemoryFileSystem
+    calls: List[str] = []
+    monkeypatch.setattr(memory, "makedirs", lambda self, path, exist_ok: calls.append(f"makedirs {path}"))
+    monkeypatch.setattr(memory, "put_file", lambda self, source, path: calls.append(f"put_file {path}"))
+    for protocol in ("memory", ("s3", "s3a")):
+        monkeypatch.setattr(memory, "protocol", protocol)
+        with result_file("memory://fleet/results/a.csv", str(tmp_path)) as path:
+            Path(path).write_text("a")
+    stored = "put_file /fleet/results/a.csv"
+    assert calls == ["makedirs /fleet/results", stored, stored]
+
+
 def test_download_beyond_stated_size_is_an_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     memory = pytest.importorskip("fsspec.implementations.memory").MemoryFileSystem
     with memory().open("/sent.bag", "wb") as file:

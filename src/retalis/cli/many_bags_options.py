@@ -105,6 +105,8 @@ def requests_separate_runs(options: argparse.Namespace) -> bool:
             raise UsageError(
                 f"{location} is not a ROS 2 bag: it has no metadata.yaml: use --jobs to play all bags below a folder"
             )
+    if options.output and is_url(options.output):
+        raise UsageError(f"--output {options.output}: --jobs writes results to URLs, one for each bag")
     return False
 
 

@@ -274,6 +274,9 @@ def location_exists(location: str) -> bool:
     return bool(_call_filesystem(location, filesystem.exists, path))
 
 
+_BUCKET_PROTOCOLS = frozenset(("s3", "s3a", "gs", "gcs"))
+"""Schemes of the file systems of Amazon and Google, and of those that are compatible."""
+
 _VERSION_KEYS = ("ETag", "etag", "md5Hash", "mtime", "LastModified", "last_modified", "created")
 """Names that the file systems of fsspec use for what changes with a file."""
 
@@ -409,7 +412,8 @@ def result_file(target: str, scratch: str) -> Iterator[str]:
         with TemporaryDirectory(dir=scratch) as folder:
             local = str(Path(folder) / PurePosixPath(path).name)
             yield local
-            _call_filesystem(target, filesystem.makedirs, str(PurePosixPath(path).parent), exist_ok=True)
+            if not _has_buckets(filesystem):
+                _call_filesystem(target, filesystem.makedirs, str(PurePosixPath(path).parent), exist_ok=True)
             _call_filesystem(target, filesystem.put_file, local, path)
         return
     folder = os.path.dirname(target)
@@ -477,6 +481,15 @@ def _open_filesystem(url: str) -> Tuple[Any, str]:
         ) from None
     filesystem, path = _call_filesystem(url, url_to_fs, url)
     return filesystem, str(path)
+
+
+def _has_buckets(filesystem: Any) -> bool:
+    """Return whether a file system has buckets in place of folders.
+
+    Their implementations would create a bucket whose name is misspelled; keys need no folders.
+    """
+    protocols = filesystem.protocol
+    return bool(_BUCKET_PROTOCOLS & {*((protocols,) if isinstance(protocols, str) else protocols)})
 
 
 def _call_filesystem(url: str, function: Any, *arguments: Any, **options: Any) -> Any:
