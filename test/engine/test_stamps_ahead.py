@@ -67,16 +67,16 @@ def test_single_stamp_far_ahead_does_not_move_time() -> None:
 
 @pytest.mark.parametrize("distance", [60, 3600, 86_400, 29 * 86_400])
 def test_clock_returns_from_single_stamp_ahead(distance: int) -> None:
-    expected = FarStamps().run(range(1000))
+    expected = FarStamps().run(range(200))
     run = FarStamps()
-    counts = run.run(range(1000), {250: distance})
+    counts = run.run(range(200), {50: distance})
     # Three events show the error; what they belong to is lost, and alarms between the two times ring once more.
     for name in ("last_10", "running", "held_last", "pair", "silent"):
         assert expected[name] - 3 <= counts[name] <= expected[name], name
     for name in ("hopping", "held"):
         assert counts[name] >= expected[name] - 1
     assert counts["beat"] >= expected["beat"]
-    assert run.engine.clock.now() == from_seconds(START + 999.2)
+    assert run.engine.clock.now() == from_seconds(START + 199.2)
     # One line names the event; the other one is that of a rule with a late event.
     (warning,) = [text for text in run.reports.messages if text.startswith("event ")]
     assert "event tick/0: its time was " in warning
@@ -307,7 +307,7 @@ changed(N) <- aggregate(count, tick, N, every(3)) with throttle(2).
 
 
 @pytest.mark.parametrize("has_receipt_clock", [False, True])
-@pytest.mark.parametrize("seed", search_rounds(3, 20))
+@pytest.mark.parametrize("seed", search_rounds(3, 60))
 def test_restored_engine_has_same_outputs(seed: int, has_receipt_clock: bool) -> None:
     random = Random(seed)
     clock, restored_clock = (StreamClock(1), StreamClock(1)) if has_receipt_clock else (None, None)
@@ -326,7 +326,7 @@ def test_restored_engine_has_same_outputs(seed: int, has_receipt_clock: bool) ->
             if has_receipt_clock:
                 stream_clock(program).move_to(receipt)
             program.event(name, time)
-        if random.random() < 0.3:
+        if random.random() < 0.1:
             restored = Engine.restore(restored.snapshot())
             outputs_before, restored_outputs = restored_outputs, outputs_of(restored)
             restored_outputs += outputs_before
