@@ -9,10 +9,9 @@ from hypothesis import strategies as st
 from messages.action_messages import DOCK, ROS1, ROS2, ROS2_STATUSES, DockServer, goal_text
 from messages.ros2_types import find_text
 from retalis import Definitions, MessageError
+from retalis.messages import action_events
 from retalis.messages.action_events import (
     ACTION_EVENTS,
-    MAX_GOALS,
-    MAX_PENDING_REQUESTS,
     ActionEvent,
     ActionMessages,
     find_action_event,
@@ -171,10 +170,11 @@ def test_states_are_reported_again_when_time_begins_again(server: DockServer, ob
     assert len(observer.read("status", data)) == 1
 
 
-def test_number_of_stored_goals_is_limited() -> None:
+def test_number_of_stored_goals_is_limited(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(action_events, "MAX_GOALS", 10)
     server = DockServer(ROS2)
     observer = Observer(server)
-    for number in range(MAX_GOALS + 1):
+    for number in range(11):
         observer.read("status", server.status(**{f"g{number}": "executing"})[2])
     assert observer.read("status", server.status(g1="executing")[2]) == []
     assert len(observer.read("status", server.status(g0="executing")[2])) == 1
@@ -204,10 +204,11 @@ def test_result_without_observed_request_is_ignored() -> None:
     assert len(observer.read("result", server.result("g1", "succeeded", 1.0, number=1)[2])) == 1
 
 
-def test_number_of_stored_requests_is_limited() -> None:
+def test_number_of_stored_requests_is_limited(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(action_events, "MAX_PENDING_REQUESTS", 10)
     server = DockServer(ROS2)
     observer = Observer(server)
-    for number in range(MAX_PENDING_REQUESTS + 1):
+    for number in range(11):
         observer.read("result", server.result_request("g1", number)[2])
     assert observer.read("result", server.result("g1", "succeeded", 1.0, 0)[2]) == []
     assert len(observer.read("result", server.result("g1", "succeeded", 1.0, 1)[2])) == 1
