@@ -219,7 +219,7 @@ CONFLICTS = {
     "bags --jobs 2 --output bags/new": "--output bags/new is below bags: results would be played the next time",
     "bags --jobs 2 --output old": "old/r1/b.bag already exists; --overwrite replaces it",
     "other/r2/a.bag bags/r2 --jobs 2 --output new": "bags/r2/a.bag: the result of both would be new/a.bag",
-    "bags": "bags is not a ROS 2 bag: it has no metadata.yaml: use --jobs",
+    "bags": "bags is not a ROS 2 bag: it has no metadata.yaml: name its .db3 or .mcap file, or use --jobs",
 }
 
 

@@ -1,12 +1,21 @@
 """Published topics: outputs as messages."""
 
+from pathlib import Path
 from typing import Any, List
 
 import pytest
 from node.memory_transport import MemoryNetwork, MemoryTransport
 
 from retalis import Definitions, MessageError, Reports, UsageError, atom, functor
-from retalis.node.published_topics import OutputRelay, PublishedTopics, UntypedTopicWarnings
+from retalis.events.program.topic_configuration import Topics as ProgramTopics
+from retalis.events.program.topic_configuration import topic_type
+from retalis.messages.type_registry import InstalledTypes
+from retalis.node.published_topics import (
+    OutputRelay,
+    PublishedTopics,
+    UntypedTopicWarnings,
+    advertise_topics,
+)
 from retalis.node.text_exchange import WATCH
 
 NAME = atom("id")
@@ -85,6 +94,33 @@ def test_topic_is_advertised_if_type_is_found(network: MemoryNetwork, topics: To
     topics.advertise_learned_types()
     topics.publish(functor("lab__0__Door", 1)(atom("true")), "door")
     assert network.publications["/door"][0].messages == [b"\1"]
+
+
+def test_type_that_no_publisher_can_define_is_an_error(
+    network: MemoryNetwork, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    folder = tmp_path / "door_msgs" / "msg"
+    folder.mkdir(parents=True)
+    (folder / "Door.msg").write_text("bool open\n")
+    definitions = Definitions(InstalledTypes(extra_folders=[str(tmp_path)]))
+    published = PublishedTopics(MemoryTransport(network), definitions, 5, Reports())
+    caplog.set_level("INFO")
+    topics = ProgramTopics(
+        published=(topic_type("a", "door_msgs/Movement"), topic_type("b", "lift_msgs/Lift"))
+    )
+    advertise_topics(published, topics, may_be_learned=True)
+    assert [(record.levelname, record.getMessage().split(":")[1]) for record in caplog.records] == [
+        ("ERROR", " topic a"),
+        ("INFO", " topic b"),
+    ]
+
+
+def test_advice_for_invalid_topic_is_its_fault(
+    network: MemoryNetwork, caplog: pytest.LogCaptureFixture
+) -> None:
+    UntypedTopicWarnings(MemoryTransport(network), [], Reports()).check("no name!")
+    assert "publish_to" not in caplog.text
+    assert "found 'no name!': ' ' is not allowed in it" in caplog.text
 
 
 @pytest.mark.parametrize(

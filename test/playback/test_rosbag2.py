@@ -13,6 +13,7 @@ from messages.ros2_types import decode_text  # noqa: E402
 from rosbags.typesys import Stores, get_typestore  # noqa: E402
 
 from retalis import BagError, Definitions  # noqa: E402
+from retalis.cli.command_line import main  # noqa: E402
 from retalis.messages.type_definition import SerializationFormat  # noqa: E402
 from retalis.playback.bag_locations import MergedBag  # noqa: E402
 
@@ -177,6 +178,28 @@ def test_type_with_empty_definition_has_no_slots(tmp_path: Path) -> None:
     path.write_bytes(mcap([mcap_message(1, b"\0\1\0\0\0")], topic=topic))
     topic, data = read_message(path)
     assert (topic.type, topic.definition, data) == ("my_msgs/Go", "", b"\0\1\0\0\0")
+
+
+def test_missing_definition_is_advised_and_added(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A recorder that does not find a type writes an empty definition, as of a type without slots."""
+    bag, program, types = tmp_path / "a.mcap", tmp_path / "program", tmp_path / "types" / "my_msgs" / "msg"
+    bag.write_bytes(mcap([mcap_message(1)], topic=mcap_topic("my_msgs/msg/Go", "ros2msg", "")))
+    program.mkdir()
+    (program / "goalPredicates.txt").write_text("compile_event_file('eventRules.txt')\n")
+    (program / "eventRules.txt").write_text("went(X) <- my_msgs__0__Go(X).\n")
+    (program / "pub_sub.xml").write_text(
+        '<publish_subscribe strings="plain"><subscribe_to name="a" msg_type="my_msgs/Go"/></publish_subscribe>'
+    )
+    options = ["bag", str(bag), "--program", str(program), "--events"]
+    assert main(options) == 1
+    assert (
+        "bytes of CDR are not a my_msgs/Go: its definition is empty; --msg of retalis bag adds another one"
+        in capsys.readouterr().err
+    )
+    types.mkdir(parents=True)
+    (types / "Go.msg").write_text("string text\n")
+    assert main([*options, "--msg", str(tmp_path / "types")]) == 0
+    assert "event(went(hello)" in capsys.readouterr().out
 
 
 def test_type_without_schema_is_searched(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:

@@ -103,7 +103,8 @@ def requests_separate_runs(options: argparse.Namespace) -> bool:
             raise UsageError(f"{location}: --jobs plays bags of URLs, each by itself")
         if is_folder_of_bags(location):
             raise UsageError(
-                f"{location} is not a ROS 2 bag: it has no metadata.yaml: use --jobs to play all bags below a folder"
+                f"{location} is not a ROS 2 bag: it has no metadata.yaml: name its .db3 or .mcap file, "
+                "or use --jobs to play all bags below a folder"
             )
     if options.output and is_url(options.output):
         raise UsageError(f"--output {options.output}: --jobs writes results to URLs, one for each bag")

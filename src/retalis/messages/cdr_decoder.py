@@ -514,7 +514,13 @@ def _compile_general_decode(definition: Definition) -> Decode:
                 negative_time = error
         if negative_time is not None:
             raise MessageError(f"a {definition.name} has {negative_time}")
-        raise MessageError(f"{len(data) - ENCAPSULATION_BYTES} bytes of CDR are not a {definition.name}")
+        # Recorders write an empty definition for a type that they do not find.
+        advice = (
+            "" if definition.fields else ": its definition is empty; --msg of retalis bag adds another one"
+        )
+        raise MessageError(
+            f"{len(data) - ENCAPSULATION_BYTES} bytes of CDR are not a {definition.name}{advice}"
+        )
 
     return decode
 

@@ -16,6 +16,7 @@ from ..events.program.topic_configuration import (
 from ..foundation.bounded_caches import Cache
 from ..foundation.displayed_text import printable, shorten
 from ..foundation.errors import MessageError, RetalisError, UsageError
+from ..foundation.ros_name_checks import topic_fault
 from ..messages.encoder import Encoder
 from ..messages.type_definition import PLAIN_STRINGS
 from ..messages.type_registry import Definitions
@@ -178,6 +179,10 @@ class PublishedTopics:
             publication, self._definitions.encoder(definition, self._transport.format)
         )
 
+    def may_be_defined_later(self, message_type: str) -> bool:
+        """Return whether a publisher may define an unknown type; not if its installed package does not have it."""
+        return not self._definitions.is_missing_in_package(message_type)
+
     def advertise_learned_types(self) -> None:
         """Advertise the topics whose types have become known through a new connection to a publisher."""
         # Called for each new connection, in nearly all programs without a topic that waits for its type.
@@ -288,9 +293,11 @@ class UntypedTopicWarnings:
             self._checked.store(topic, True, len(topic))
             if not self._has_type(topic):
                 name = shorten(topic)
+                advice = topic_fault(topic) or (
+                    f'<publish_to name="{name}" msg_type="package/Type"/> in {TOPICS} would give it one'
+                )
                 self._reports.warning(
-                    f"topic {name} has no type: {self._consequence}; "
-                    f'<publish_to name="{name}" msg_type="package/Type"/> in {TOPICS} would give it one',
+                    f"topic {name} has no type: {self._consequence}; {advice}",
                     "topics without a type",
                     texts=20,
                 )
@@ -321,7 +328,11 @@ def advertise_topics(published: PublishedTopics, topics: Topics, may_be_learned:
             quality = quality_of(topics.published_quality, topic)
             published.advertise(topic, message_type, topic in topics.latched, quality)
         except RetalisError as error:
-            if may_be_learned and isinstance(error, MessageError):
+            if (
+                may_be_learned
+                and isinstance(error, MessageError)
+                and published.may_be_defined_later(message_type)
+            ):
                 log.info("%s: topic %s: %s; it may come with a message", TOPICS, topic, error)
             else:
                 log.error("%s: topic %s: %s", TOPICS, topic, error)
