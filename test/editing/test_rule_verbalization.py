@@ -93,6 +93,7 @@ def test_durations_have_units() -> None:
         "- `a` happened, and no `b` ended in the 1 min 30 s before `a` started"
     )
     assert reading("x(N) <- n(N) seq absent(b, N).")[1].startswith("- `N` seconds passed")
+    assert reading("x(N) <- n(N) seq absent(b, N * 2).")[1].endswith("before `absent(b, N*2)` started")
     assert reading("x(N) <- n(N) seq absent(b, 0.25).")[1].startswith("- 250 ms passed")
 
 

@@ -506,7 +506,11 @@ def _fits(notation: Term, term: Term, letters: Dict[Var, str], operands: _Operan
     while stack:
         left, right = stack.pop()
         if left.__class__ is Var:
-            operands[letters.get(left, "_")] = right
+            letter = letters.get(left, "_")
+            # A computed time is no time: ``absent(Q, T * 2)`` is an event.
+            if letter == "N" and right.__class__ is tuple:
+                return False
+            operands[letter] = right
         elif left.__class__ is tuple and right.__class__ is tuple:
             is_same = OPERATOR_NAMES.get(left[0], left[0]) == OPERATOR_NAMES.get(right[0], right[0])
             if not is_same or len(left) != len(right):

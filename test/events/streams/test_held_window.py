@@ -239,7 +239,13 @@ KINDS = "the aggregates of held values are avg(X), duration(Goal), min(X), max(X
 ERRORS = [
     ("count", "held(every(2))", "count", KINDS),
     ("avrg(X)", "held(every(2))", "avrg", f"{KINDS}; did you mean avg?"),
-    ("duration(X > 1)", "every(2)", "duration", "duration needs a window of held values, as held(every(10))"),
+    (
+        "duration(X > 1)",
+        "every(2)",
+        "duration",
+        "duration(Goal) needs a window of held values, as held(every(10)); the length of another window is "
+        "E - S in check (t1(S), t2(E), ...) after the aggregate",
+    ),
     ("duration(3)", "held(every(2))", "3", "duration needs a goal"),
     ("duration(X)", "held(every(2))", "X", "duration needs a goal"),
     ("avg(X)", "held(session(2))", "session", HELD_NOTATION),

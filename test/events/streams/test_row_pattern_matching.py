@@ -419,6 +419,7 @@ def test_invalid_group_is_refused(steps: str, message: str) -> None:
         ("a, group([b, c], 2, 1)", "group", "a group is group(Steps), group(Steps, N)"),
         ("a, group(b, 2)", "group", "a group is group(Steps), group(Steps, N)"),
         ("a, (b or c) where X > 1", "where", "where and later belong to a step, not to a group"),
+        ("a, b, [after_match(skip_to_next)]", "after_match", "options follow the list of steps"),
         ("a, later([b, c])", "later", "where and later belong to a step, not to a group"),
     ],
 )

@@ -167,7 +167,8 @@ def find_unproduced_events(program: ProgramModel) -> Iterator[RuleError]:
             yield RuleError(f"{prefix}{_explain_missing_topic(program, key, type_name)}", subterm.place)
         elif program.logic.is_system_predicate(key):
             yield RuleError(
-                f"{prefix}no producer of {key}: {key} is a predicate, and a goal is written after where",
+                f"{prefix}no producer of {key}: {key} is a built-in predicate, and a goal is written after where; "
+                f"if it is an event of another program, add the fact input_event({key}).",
                 subterm.place,
             )
         elif suggestion or not may_be_fed_externally:

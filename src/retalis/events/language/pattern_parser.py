@@ -235,7 +235,10 @@ class PatternReader:
             return KleenePattern(first, self.read_operand(right, 1, run.name))
         if right.__class__ is tuple and right[0].name == _ABSENT:
             notation = f"{_ABSENT}(Pattern, Seconds) has two arguments, the second a number or a variable"
-            self._warn(self.create_error(f"this is an ordinary event; {notation}", right))
+            advice = ""
+            if is_event(right) and len(right) == 3 and deref(right[2]).__class__ is tuple:
+                advice = f"; compute the time in a condition: (P where N is ...) seq {_ABSENT}(Pattern, N)"
+            self._warn(self.create_error(f"this is an ordinary event; {notation}{advice}", right))
         return PairPattern(SEQ, first, self.read(term, 2))
 
     def _parse_goal_operand(self, term: Term) -> Optional[Term]:

@@ -417,6 +417,10 @@ def _parse_quantified_step(
     if len(arguments) == 2 and maximum.__class__ is Atom and maximum.name == _GREEDY:
         maximum = None
     if not 1 <= len(arguments) <= 2 or not _are_counts(minimum, maximum):
+        if term[0] is _AFTER_MATCH:
+            raise reader.create_error(
+                "options follow the list of steps: steps([Step, ...], [after_match(Strategy)])", term
+            )
         is_group = term[0].name == _GROUP
         notation = f"a group is {_GROUP_NOTATION}" if is_group else f"a step is {_STEP_NOTATION}"
         raise reader.create_error(f"{notation}, where N is not larger than M, and M at least 1", term)

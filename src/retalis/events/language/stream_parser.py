@@ -302,9 +302,11 @@ def parse_measure(
             raise reader.create_error("duration needs a goal", measure_term, 1)
         return AggregateMeasure(name, None, value)
     aggregate = AGGREGATES.get(name)
-    if name == DURATION and len(arguments) == 1:
+    if name == DURATION:
         raise reader.create_error(
-            "duration needs a window of held values, as held(every(10))", *error_position
+            "duration(Goal) needs a window of held values, as held(every(10)); the length of another window is "
+            "E - S in check (t1(S), t2(E), ...) after the aggregate",
+            *error_position,
         )
     if aggregate is None or len(arguments) != aggregate.arity:
         notations = ", ".join(aggregate.notation for aggregate in AGGREGATES.values())
@@ -366,7 +368,8 @@ def _parse_last_or_every(reader: "PatternReader", window: Any, term: CompoundTer
     """Return the window ``last(...)`` or ``every(...)``; see `_parse_window_term`."""
     name = window[0].name if window.__class__ is tuple else ""
     syntax_error = reader.create_error(
-        f"a window is {_WINDOW_NOTATIONS}", *((window,) if window.__class__ is tuple else (term, 4))
+        f"a window is {_WINDOW_NOTATIONS}{did_you_mean(name, _WINDOW_NAMES - {name})}",
+        *((window,) if window.__class__ is tuple else (term, 4)),
     )
     if name not in ("last", "every") or len(window) not in (2, 3):
         raise syntax_error
