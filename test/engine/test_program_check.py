@@ -117,3 +117,19 @@ def test_predicates_of_later_files_are_not_reported(tmp_path: Path, definitions:
         goals="compile_event_file('names.txt')\nsubscribe(low(V), [], V, warn, w1)",
     )
     assert not any("known/1" in message for message in messages)
+
+
+def test_other_mistake_at_place_of_load_warning_is_reported(tmp_path: Path, definitions: Definitions) -> None:
+    rules = tmp_path / "rules.pl"
+    rules.write_text("alarm(X) <- alarm(_).\nfire <- Any.\n")
+    messages = [
+        (finding.problem.place.line, finding.problem.place.column, finding.problem.message[:40])
+        for finding in check_program(rules, definitions)
+        if finding.problem.place is not None
+    ]
+    assert messages == [
+        (1, 1, "nothing in the pattern can bind X in the"),
+        (1, 1, "alarm/1 fires itself, at once and withou"),
+        (1, 7, "X occurs only here: a misspelt name? Oth"),
+        (2, 9, "Any is any event, those of this rule inc"),
+    ]

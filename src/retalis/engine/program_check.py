@@ -46,6 +46,10 @@ from .engine_settings import Settings
 from .ros_param_predicate import no_parameters
 from .runtime.problem_reports import Reports
 
+_CODES_OF_NAMES = ("RT1402", "RT1405", "RT1406")
+"""Codes of the checks of single names and variables. At the place of a problem of loading, they describe the same
+mistake in another way; other checks describe another one."""
+
 
 class FindingCollector(Reports):
     """Reports that collect problems as findings."""
@@ -154,10 +158,11 @@ def check_program(
     # After an error a part of the program is missing, and checks of the whole program would report its absence.
     is_loaded = not any(finding.severity == ERROR for finding in collector.findings)
     collector.drop_consequences(is_loaded, has_topics)
-    reported = {finding.problem.place for finding in collector.findings if finding.problem.place is not None}
-    # A mistake that loading has already reported is not reported again by a check of the same place.
+    reported_places = {finding.problem.place for finding in collector.findings if finding.problem.place}
     new_findings = [
-        finding for finding in run_checks(program, is_loaded) if finding.problem.place not in reported
+        finding
+        for finding in run_checks(program, is_loaded)
+        if finding.problem.code not in _CODES_OF_NAMES or finding.problem.place not in reported_places
     ]
     return _sort_findings([*collector.findings, *new_findings])
 
