@@ -189,6 +189,46 @@ def test_cut_message_of_bag_is_located(tmp_path: Path) -> None:
     )
 
 
+@pytest.mark.parametrize(
+    ("compression", "old", "new", "reason"),
+    [
+        ("bz2", b"BZh9", b"BZhx", r"the chunk at byte 4109 cannot be read: OSError: .+"),
+        (
+            "none",
+            b"compression=",
+            b"compressiom=",
+            "the chunk at byte 4109 cannot be read: its header, .+, has no field 'compression'",
+        ),
+        (
+            "none",
+            b"op=\x05",
+            b"oq=\x05",
+            "the record at byte 4109 cannot be read: its header, .+ has no field 'op'",
+        ),
+        ("none", b"op=\x05", b"op=\x09", "the record at byte 4109 is of no known type"),
+        (
+            "none",
+            b"conn=\0",
+            b"conm=\0",
+            "the chunk at byte 4109 cannot be read: its header, .+ has no field 'conn'",
+        ),
+    ],
+)
+def test_damage_in_bag_without_index_has_reason(
+    tmp_path: Path, compression: str, old: bytes, new: bytes, reason: str
+) -> None:
+    path = tmp_path / "a.bag"
+    content = ros1_file(tmp_path, compression)
+    (index_position,) = struct.unpack_from("<Q", content, content.index(b"index_pos=") + len("index_pos="))
+    assert old in content[4109:index_position]
+    path.write_bytes(content[:4109] + content[4109:index_position].replace(old, new, 1))
+    assert re.fullmatch(
+        f"a.bag is incomplete: its index is missing, and {reason}: 0 messages were read; "
+        "[0-9]+ bytes from byte [0-9]+ on were not, the number of lost messages is unknown",
+        describe(path),
+    )
+
+
 def test_bag_without_position_of_index_is_read(tmp_path: Path) -> None:
     path = tmp_path / "a.bag.active"
     content = bytearray(ros1_file(tmp_path, "none"))

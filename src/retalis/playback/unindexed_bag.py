@@ -96,6 +96,24 @@ class _UnindexedChunk(NamedTuple):
     connections: FrozenSet[int]
 
 
+class _Break(NamedTuple):
+    """The position up to which a bag is read.
+
+    Attributes:
+        position: offset in the file.
+        is_data_complete: whether all chunks are before it.
+        reason: description of the damage there; "" if the file only ends.
+    """
+
+    position: int
+    is_data_complete: bool = False
+    reason: str = ""
+
+
+class _CutRecordError(ValueError):
+    """A record whose header is not complete, because the file ends."""
+
+
 class UnindexedBag:
     """A ROS 1 bag that is read without its index.
 
@@ -122,7 +140,7 @@ class UnindexedBag:
         self._size = path.stat().st_size
         with ExitStack() as stack:
             self._file = stack.enter_context(path.open("rb"))
-            position, is_data_complete = self._scan(problem.position)
+            break_ = self._scan(problem.position)
             self._stack = stack.pop_all()
         self.connections = [
             connection._replace(messages=self._counts[connection.id])
@@ -134,13 +152,13 @@ class UnindexedBag:
         self._chunks.sort(key=attrgetter("start", "end", "record.data_position"))
         self.incomplete_file = IncompleteFile(
             path=str(path),
-            problem=problem.text,
+            problem=f"{problem.text}, and {break_.reason}" if break_.reason else problem.text,
             messages=sum(self._counts.values()),
             end=last_time,
-            position=position,
-            unread_bytes=0 if is_data_complete else self._size - position,
+            position=break_.position,
+            unread_bytes=0 if break_.is_data_complete else self._size - break_.position,
             missing_bytes=max(0, problem.position - self._size),
-            is_data_complete=is_data_complete,
+            is_data_complete=break_.is_data_complete,
         )
 
     def read(self, ids: Collection[int], start: Optional[int], stop: Optional[int]) -> Iterator[Message]:
@@ -164,8 +182,8 @@ class UnindexedBag:
         """Close the file."""
         self._stack.close()
 
-    def _scan(self, index_position: int) -> Tuple[int, bool]:
-        """Find chunks and connections; return the position of the break, and whether all chunks are before it."""
+    def _scan(self, index_position: int) -> _Break:
+        """Find chunks and connections; return the break."""
         position = _read_header(self._file, self._size).end
         while position < self._size and position != index_position:
             check_interrupt()
@@ -173,32 +191,38 @@ class UnindexedBag:
                 record = _read_record(self._file, position, self._size)
                 opcode = record.fields[b"op"]
                 if opcode == _CHUNK_OPCODE:
-                    break_position = self._add_chunk(record, position)
-                    if break_position is not None:
-                        return break_position, False
+                    break_in_chunk = self._add_chunk(record, position)
+                    if break_in_chunk is not None:
+                        return break_in_chunk
                 elif opcode in (_CONNECTION_OPCODE, _CHUNK_INFO_OPCODE):
                     # An index that the recorder has begun, or completed without its position in the header.
-                    return position, True
-                elif opcode != _INDEX_OPCODE or record.end > self._size:
-                    return position, False
+                    return _Break(position, is_data_complete=True)
+                elif record.end > self._size:
+                    return _Break(position)
+                elif opcode != _INDEX_OPCODE:
+                    return _Break(position, reason=f"the record at byte {position} is of no known type")
             except ChunkLimitError:
                 raise
-            except _BREAK_ERRORS:
-                return position, False
+            except _CutRecordError:
+                return _Break(position)
+            except _BREAK_ERRORS as error:
+                return _Break(position, reason=_describe_damage(error, f"the record at byte {position}"))
             position = record.end
-        return position, position == index_position
+        return _Break(position, position == index_position)
 
-    def _add_chunk(self, record: _RecordLocation, position: int) -> Optional[int]:
-        """Find the messages of a chunk; return the position of the break if it is in the chunk."""
+    def _add_chunk(self, record: _RecordLocation, position: int) -> Optional[_Break]:
+        """Find the messages of a chunk; return the break if it is in the chunk."""
         is_cut = record.end > self._size
         record = record._replace(data_size=min(record.data_size, self._size - record.data_position))
         chunk = _UnindexedChunk(MAX_TIME, -1, record, _read_size(record), is_cut, frozenset())
+        subject = f"the chunk at byte {position}"
+        reason = ""
         try:
             data = self._unpack(chunk)
         except (ChunkLimitError, MissingPackageError):
             raise
-        except Exception:  # any exception of the decompression library
-            return position
+        except Exception as error:  # any exception of the decompression library
+            return _Break(position, reason=_describe_damage(error, subject))
         readable_bytes = 0
         connections: Set[int] = set()
         try:
@@ -208,12 +232,14 @@ class UnindexedBag:
                 elif fields[b"op"] == _MESSAGE_OPCODE:
                     identifier, time = _read_message_fields(fields)
                     if identifier not in self._connections:
-                        raise ValueError("a message has no connection")
+                        raise ValueError("a message in it has no connection")
                     connections.add(identifier)
                     self._counts[identifier] += 1
                     chunk = chunk._replace(start=min(chunk.start, time), end=max(chunk.end, time))
                 readable_bytes = end
-        except _BREAK_ERRORS:
+        except _BREAK_ERRORS as error:
+            # The last record of a chunk that is cut is cut, too.
+            reason = "" if is_cut else _describe_damage(error, subject)
             is_cut = True
         if connections:
             self._chunks.append(
@@ -223,7 +249,7 @@ class UnindexedBag:
             return None
         # In a compressed chunk, the break has no offset in the file.
         is_packed = record.fields[b"compression"] != b"none"
-        return position if is_packed else record.data_position + readable_bytes
+        return _Break(position if is_packed else record.data_position + readable_bytes, reason=reason)
 
     def _unpack(self, chunk: _UnindexedChunk) -> bytes:
         """Return the records of a chunk before the break."""
@@ -301,16 +327,34 @@ def _read_record(file: BinaryIO, position: int, size: int) -> _RecordLocation:
     """Return the record at a position.
 
     Raises:
-        ValueError, struct.error: if there is none, or the file ends before its data.
+        ValueError, struct.error: if there is none, or its header is damaged.
+        _CutRecordError: if the file ends before its data.
     """
+    if position + _LENGTH_STRUCT.size > size:
+        raise _CutRecordError
     file.seek(position)
     (header_size,) = _LENGTH_STRUCT.unpack(file.read(_LENGTH_STRUCT.size))
     data_position = position + 2 * _LENGTH_STRUCT.size + header_size
-    if not 0 < header_size <= _MAX_HEADER_BYTES or data_position > size:
-        raise ValueError(f"there is no record at byte {position}")
+    if not 0 < header_size <= _MAX_HEADER_BYTES:
+        raise ValueError(f"its header states {header_size} bytes")
+    if data_position > size:
+        raise _CutRecordError
     fields = _parse_fields(file.read(header_size))
     (data_size,) = _LENGTH_STRUCT.unpack(file.read(_LENGTH_STRUCT.size))
     return _RecordLocation(fields, data_position, data_size)
+
+
+def _describe_damage(error: Exception, subject: str) -> str:
+    """Return the description of an error that the bytes of a record or chunk led to."""
+    if isinstance(error, KeyError):
+        reason = f"its header, or that of a record in it, has no field '{error.args[0].decode()}'"
+    elif isinstance(error, StructError):
+        reason = "a number in it is cut"
+    elif isinstance(error, ValueError):
+        reason = str(error)
+    else:
+        reason = f"{type(error).__name__}: {error}"
+    return f"{subject} cannot be read: {reason}"
 
 
 def _parse_fields(header: bytes) -> Dict[bytes, bytes]:
