@@ -32,6 +32,13 @@ def test_events_are_printed_in_order_of_dispatch(run_events: Any) -> None:
     )
 
 
+def test_growth_of_heap_is_checked_for_each_event(run_events: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    checks: List[bool] = []
+    monkeypatch.setattr("retalis.cli.event_stream_command.collect_if_grown", lambda: checks.append(True))
+    run_events(rules="a <- b.", stream="event(b, [1, 1]).\nevent(b, [2, 2]).\n")
+    assert len(checks) == 2
+
+
 def test_printed_events_can_be_read_again(run_events: Any) -> None:
     stream = "event('A b'(\"s\",[x|T],'it''s',-1,- 1,a+b*c,{q},T,U),[1,1]).\n"
     status, lines, _ = run_events(stream=stream)

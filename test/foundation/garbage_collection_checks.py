@@ -7,7 +7,7 @@ from typing import Any, Callable, Iterator, List, Tuple
 
 import pytest
 
-from retalis import Engine, atom, collect_when_idle, limit_gc_pauses, restore_gc
+from retalis import Engine, collect_when_idle, limit_gc_pauses, restore_gc
 from retalis.events.matches.interval_index import gc_paused
 from retalis.foundation import garbage_collection
 from retalis.foundation.garbage_collection import YoungCollector
@@ -108,16 +108,6 @@ def test_late_garbage_is_collected_when_idle(monkeypatch: pytest.MonkeyPatch) ->
     assert not any(finalizer.alive for finalizer in finalizers)
 
 
-def send_events(engine: Engine) -> None:
-    for number in range(200):
-        engine.event("hot", number)
-
-
-def post_messages(engine: Engine) -> None:
-    for number in range(200):
-        engine.post(atom("hot"), number)
-
-
 def run_goal(engine: Engine) -> None:
     assert engine.call("forall(between(1, 10000, X), integer(X))")
 
@@ -132,7 +122,7 @@ def wait_at_load(engine: Engine) -> None:
 
 
 @pytest.mark.usefixtures("_limited")
-@pytest.mark.parametrize("work", [send_events, post_messages, run_goal, wait_at_load])
+@pytest.mark.parametrize("work", [run_goal, wait_at_load])
 def test_late_garbage_is_collected_by_work(
     monkeypatch: pytest.MonkeyPatch, work: Callable[[Engine], None]
 ) -> None:

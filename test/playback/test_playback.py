@@ -108,6 +108,15 @@ IN = '<subscribe_to name="in" msg_type="my_msgs/Point"/>'
 OUT = '<publish_to name="out" msg_type="my_msgs/Point"/>'
 
 
+def test_growth_of_heap_is_checked_for_each_message(
+    program: Any, bag: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    checks: List[bool] = []
+    monkeypatch.setattr("retalis.playback.playback.collect_if_grown", lambda: checks.append(True))
+    run(program("", topics=IN), bag(*points(1, 2, 3)))
+    assert len(checks) == 3
+
+
 def test_outputs_for_messages_are_messages(program: Any, bag: Any, definitions: Definitions) -> None:
     path = bag((7 * SECOND, "/in", "my_msgs/Point", "my_msgs__0__Point(6.5)"))
     goals = "subscribe(my_msgs__0__Point(X), [Y is X * 2], my_msgs__0__Point(Y), out, 1)"

@@ -26,7 +26,7 @@ from ..events.program.topic_configuration import read_text
 from ..events.rules.event_input_predicates import event_of
 from ..explanation.event_explanations import explain, record_origins
 from ..foundation.errors import ProgramErrors, RetalisError, RuleError, SyntaxFault, UsageError
-from ..foundation.garbage_collection import limit_gc_pauses
+from ..foundation.garbage_collection import collect_if_grown, limit_gc_pauses
 from ..foundation.interrupts import check_interrupt, interruptible
 from ..foundation.output_files import open_output
 from ..foundation.source_places import Place, place_at_column
@@ -374,6 +374,7 @@ class Session:
         try:
             for item in stream:
                 check_interrupt()
+                collect_if_grown()
                 if isinstance(item, SyntaxFault):
                     self._reporter(item)
                 else:

@@ -465,8 +465,8 @@ class StatusReader:
 
     def count_records(self) -> int:
         """Return the number of partial matches and of records in memories."""
-        # Called while events are processed, so it adds up counters and does not visit records. A memory removes old
-        # records in blocks, so `ends` can be longer than `size`.
+        # Called regularly, so it adds up counters and does not visit records. A memory removes old records in blocks,
+        # so `ends` can be longer than `size`.
         memories = [instance.memory for instance in list(self._program.knowledge.memories)]
         return self._program.rules.match_count + sum(
             min(len(memory.ends), memory.size) for memory in memories

@@ -23,7 +23,6 @@ from ..events.rules.event_input_predicates import InputReader
 from ..events.rules.rule_base import RuleBase
 from ..foundation.displayed_text import shorten
 from ..foundation.errors import RetalisError, UsageError
-from ..foundation.garbage_collection import collect_if_grown
 from ..foundation.interrupts import PENDING, is_interrupted
 from ..foundation.ros_name_checks import ros1_type_name, strip_slashes, topic_fault, type_fault
 from ..messages.message_slots import SlotNames
@@ -41,9 +40,6 @@ from .redelivered_messages import IdentifiedMessage, ProcessedMessages
 from .runtime.problem_reports import Reports
 
 log = logging.getLogger("retalis")
-
-EVENTS_PER_HEAP_CHECK = 128
-"""Events between two calls of `collect_if_grown`, so that they cost less than 10 ns per event."""
 
 
 class EventInput(StateOwner):
@@ -128,8 +124,6 @@ class EventInput(StateOwner):
                 self._dispatch_far_ahead(term, start, end, ground)
                 return
         self.event_count += 1
-        if not self.event_count % EVENTS_PER_HEAP_CHECK:
-            collect_if_grown()
         self._dispatch(term, start, end, ground)
 
     def dispatch_message(self, term: Term, instant: Optional[int] = None) -> None:
@@ -149,8 +143,6 @@ class EventInput(StateOwner):
                 self._dispatch_far_ahead(term, stamp, stamp, True)
                 return
         self.event_count += 1
-        if not self.event_count % EVENTS_PER_HEAP_CHECK:
-            collect_if_grown()
         # Messages contain no variables.
         self._dispatch(term, stamp, stamp, True)
 

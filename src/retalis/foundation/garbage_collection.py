@@ -1,7 +1,7 @@
 """Limits on the pauses of CPython's garbage collector in processes that run an engine.
 
-After `limit_gc_pauses` CPython collects only young objects. Engines and nodes call `collect_if_grown` regularly, and
-nodes `collect_when_idle`, which run the full collections that become due.
+After `limit_gc_pauses` CPython collects only young objects. Nodes, commands and long goals call `collect_if_grown`
+regularly, and nodes `collect_when_idle`, which run the full collections that become due.
 """
 
 import gc
@@ -140,9 +140,9 @@ def limit_gc_pauses() -> None:
     By default CPython walks all live objects again and again, about 100 ns each: with a million partial matches,
     single events wait for some 400 ms. From this call on, only new objects are walked, some 8,000 at a time. An
     object is freed as before when its last reference goes; only objects in a reference cycle need the collector.
-    Cycles that become garbage later are collected by `collect_when_idle`. At the latest they are collected by an
-    engine that processes events or goals when the heap has grown to three times its size plus 4,000,000 blocks of
-    memory of about 60 bytes. Memory that the records of engines use does not count as growth.
+    Cycles that become garbage later are collected by `collect_when_idle`. Nodes, commands and long goals also collect
+    them when the heap has grown to three times its size plus 4,000,000 blocks of memory of about 60 bytes. Memory
+    that the records of engines use does not count as growth.
 
     This function changes a setting of the whole process, the thresholds of the collector. The nodes and the commands
     call it; an `Engine` does not. `restore_gc` undoes it.

@@ -65,6 +65,7 @@ from ..events.program.topic_configuration import (
 )
 from ..foundation.displayed_text import format_count, quote_shortened
 from ..foundation.errors import MessageError, ProgramErrors, RetalisError, UsageError
+from ..foundation.garbage_collection import collect_if_grown
 from ..foundation.interrupts import check_interrupt, interruptible
 from ..foundation.ros_name_checks import ros1_type_name, topic_fault, type_fault
 from ..messages.action_events import ACTION_EVENTS, find_action_event
@@ -467,6 +468,7 @@ class Playback:
             if record is None:
                 return
             check_interrupt()
+            collect_if_grown()
             topic, time, data = record
             # `back`: the clocks of several bags, or a bag with unordered times, may go back.
             move_clock(time, back=True)
