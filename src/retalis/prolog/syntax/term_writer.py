@@ -483,7 +483,9 @@ def canonical_text(term: Term) -> str:
     names = {
         var: f"{chr(65 + number % 26)}{number // 26 or ''}" for number, var in enumerate(variables(term))
     }
-    return write_term(term, quoted=True, ignore_ops=True, variable_names=names)
+    # Most events have no variables.
+    options = _CANONICAL._replace(variable_names=names) if names else _CANONICAL
+    return _TermWriter(standard_operators(), options).write(term)
 
 
 def truncated_text(term: Term, longest: int) -> str:
@@ -498,6 +500,7 @@ def add_full_stop(text: str) -> str:
 
 
 _QUOTED = WriteOptions(numbervars=True)
+_CANONICAL = WriteOptions(ignore_ops=True)
 
 Portray = Callable[[Term], Optional[str]]
 """Returns the text of a term with a notation of its own, and None for other terms."""
