@@ -112,14 +112,15 @@ class Ros2BagReader:
     ):
         self.path = Path(path)
         self._limit = ChunkLimit(max_chunk_megabytes)
+        unreadable: List[UnreadableTopic] = []
+        # The files are closed if anything below raises an error.
         with ExitStack() as stack:
             content = _open_files(self.path, self._limit, stack)
             self.incomplete_files = tuple(content.list_incomplete_files(self.path))
             report_incomplete_files(self.incomplete_files, strict)
+            files, self._has_packed_messages = content.files, content.has_packed_messages
+            self._topics = _read_topics(files, unreadable, message_folders)
             self._stack = stack.pop_all()
-        files, self._has_packed_messages = content.files, content.has_packed_messages
-        unreadable: List[UnreadableTopic] = []
-        self._topics = _read_topics(files, unreadable, message_folders)
         self.unreadable: Tuple[UnreadableTopic, ...] = tuple(unreadable)
         self.topics: Tuple[Topic, ...] = tuple(self._topics.values())
         self.messages = sum(connection.messages for file in files for connection in file.connections)
@@ -472,34 +473,56 @@ def _read_metadata(path: Path) -> Tuple[List[Path], bool, Optional[int]]:
     # Only the file name is used: some versions of ROS 2 wrote paths, and a path must not lead out of the bag.
     names = [name.rpartition("/")[2] for name in values.get("relative_file_paths", [])]
     storage, mode, compression_format = ("".join(values.get(name, [])) for name in _METADATA_SCALARS)
-    suffixes = _SUFFIXES_OF_STORAGE.get(storage)
     if not names:
         raise ValueError(f"{path.name} names no files: expected relative_file_paths")
-    if suffixes is None:
+    if len(set(names)) < len(names):
+        raise ValueError("a file is named twice")
+    if storage not in _SUFFIXES_OF_STORAGE:
         raise ValueError(f"its storage_identifier is '{shorten(storage)}': expected sqlite3 or mcap")
     mode = mode.lower() or "none"
-    # Other modes would yield compressed bytes as messages.
+    _check_compression(mode, compression_format)
+    suffixes = (_COMPRESSED_SUFFIX,) if mode == "file" else _SUFFIXES_OF_STORAGE[storage]
+    files = [path.parent / name for name in names]
+    for file in files:
+        _check_file(file, suffixes, storage)
+    count = "".join(values.get(_MESSAGE_COUNT, []))
+    is_count = count.isdecimal() and len(count) < _MAX_COUNT_DIGITS
+    return files, mode == "message", int(count) if is_count else None
+
+
+def _check_compression(mode: str, compression_format: str) -> None:
+    """Reject a compression that is not known: its compressed bytes would be read as messages.
+
+    Raises:
+        ValueError: for such a compression.
+    """
     if mode not in ("none", "file", "message") or (
         mode != "none" and compression_format != _COMPRESSED_SUFFIX[1:]
     ):
         raise ValueError(
             f"its compression by '{mode}' with '{compression_format}' is unknown: expected zstd by file or message"
         )
-    if len(set(names)) < len(names):
-        raise ValueError("a file is named twice")
-    files = [path.parent / name for name in names]
-    for file in files:
-        if file.suffix not in ((_COMPRESSED_SUFFIX,) if mode == "file" else suffixes):
-            raise ValueError(
-                f"the name '{file.name}' does not have the suffix of storage '{storage}'"
-                if storage
-                else f"the storage_identifier is empty, and the name '{file.name}' does not end with .db3 or .mcap"
-            )
-        if not file.is_file():
-            raise ValueError(f"its file {file.name} is missing")
-    count = "".join(values.get(_MESSAGE_COUNT, []))
-    is_count = count.isdecimal() and len(count) < _MAX_COUNT_DIGITS
-    return files, mode == "message", int(count) if is_count else None
+
+
+def _check_file(file: Path, suffixes: Tuple[str, ...], storage: str) -> None:
+    """Check a file that the metadata names.
+
+    Args:
+        file: the file.
+        suffixes: the suffixes that it may have.
+        storage: the ``storage_identifier``; may be empty.
+
+    Raises:
+        ValueError: if it has another suffix, or is missing.
+    """
+    if file.suffix not in suffixes:
+        raise ValueError(
+            f"the name '{file.name}' does not have the suffix of storage '{storage}'"
+            if storage
+            else f"the storage_identifier is empty, and the name '{file.name}' does not end with .db3 or .mcap"
+        )
+    if not file.is_file():
+        raise ValueError(f"its file {file.name} is missing")
 
 
 _SUFFIXES_OF_STORAGE = {"sqlite3": (".db3",), "mcap": (".mcap",), "": (".db3", ".mcap")}

@@ -152,37 +152,40 @@ class OutputRateLimiter(StateOwner):
         except (RuleError, TermTooLarge) as error:
             self.report_alarm_error(error)
             return
-        if stream.ahead_count != previous_ahead_count:
+        is_ahead = stream.ahead_count != previous_ahead_count
+        if stream.late_count != previous_late_count:
+            self.late_count += 1
+            if not is_ahead:
+                report = f"{self._spec.late_report}; {self.late_count} so far"
+                self._warn(f"{self._title}: {report}", ("late", self._title))
+        if is_ahead:
             self.ahead_count += 1
             self._warn(
                 f"{self._title}: {self._network.describe_ahead(end)}: it does not advance the time of the rate "
                 f"operator, and debounce ignores it; {self.ahead_count} so far",
                 ("ahead", self._title),
             )
-        if stream.late_count != previous_late_count:
-            self.late_count += 1
-        if stream.late_count != previous_late_count and stream.ahead_count == previous_ahead_count:
-            self._warn(
-                f"{self._title}: {self._spec.late_report}; {self.late_count} so far", ("late", self._title)
-            )
-        if len(stream) > self._network.max_stored:
-            outputs = [*outputs, *stream.drop_oldest()]
-            self.dropped_count += 1
-            reason = (
-                f"more than {self._network.max_stored} events are held; "
-                f"{self.dropped_count} of the oldest have been dropped"
-            )
-            self._warn(f"{self._title}: {reason} so far", ("dropped", self._title))
-        if stream.evicted_count != self._evicted_count:
-            self.dropped_count += stream.evicted_count - self._evicted_count
-            self._evicted_count = stream.evicted_count
-            reason = (
-                f"more than {stream.bounds.max_keys} keys are held; "
-                f"{self.dropped_count} of the oldest have been dropped"
-            )
-            self._warn(f"{self._title}: {reason} so far", ("dropped", self._title))
+        outputs = [*outputs, *self._limit_size()]
         self._set_alarm()
         self._send(outputs)
+
+    def _limit_size(self) -> List[StreamOutput]:
+        """Drop the oldest event or key if there are too many, and report it; return the outputs that this causes."""
+        stream = self._stream
+        outputs: List[StreamOutput] = []
+        if len(stream) > self._network.max_stored:
+            outputs = stream.drop_oldest()
+            self._report_dropped(1, f"more than {self._network.max_stored} events")
+        if stream.evicted_count != self._evicted_count:
+            new_evicted_count = stream.evicted_count - self._evicted_count
+            self._evicted_count = stream.evicted_count
+            self._report_dropped(new_evicted_count, f"more than {stream.bounds.max_keys} keys")
+        return outputs
+
+    def _report_dropped(self, count: int, excess: str) -> None:
+        self.dropped_count += count
+        reason = f"{excess} are held; {self.dropped_count} of the oldest have been dropped so far"
+        self._warn(f"{self._title}: {reason}", ("dropped", self._title))
 
     def on_alarm(self, instant: int, frame: Frame) -> Frame:
         """Send the events that are due at an instant; see `TimedNode`."""
@@ -246,6 +249,18 @@ class OutputRateLimiter(StateOwner):
             raise invalid_value((element.key_values, element.values), expected)
         if isinstance(element.match, EventMatch):
             raise invalid_value(element.match, "an element with the event of a subscription")
+
+
+def _parse_rate_operator(pattern: Term) -> Optional[RatePattern]:
+    """Return the rate operator of the pattern of a subscription, or None.
+
+    Raises:
+        PrologError: if it is invalid.
+    """
+    try:
+        return subscription_rate_operator(pattern)
+    except UsageError as error:
+        raise domain_error("subscription", pattern, error.message) from None
 
 
 Deliver = Callable[[Term, str, Term], None]
@@ -347,10 +362,7 @@ class Subscriptions(StateOwner):
             deref(argument) for argument in copied[1:]
         )
         check_recording_arguments(conditions, subscription_id, _NOTATION)
-        try:
-            rate_operator = subscription_rate_operator(full_pattern)
-        except UsageError as error:
-            raise domain_error("subscription", full_pattern, error.message) from None
+        rate_operator = _parse_rate_operator(full_pattern)
         pattern = subscription_event(full_pattern)
         topic_text = self._topic_text(topic)
         key = (topic_text, key_of(subscription_id))
@@ -365,37 +377,29 @@ class Subscriptions(StateOwner):
         recording, _ = compile_recording(
             self._logic, self._dispatcher, pattern, conditions, template, title, self._warn
         )
-        detached_subscription = self._detached.get(key)
-        # Detached by a reload and unchanged: the counter and the state of the rate limiter continue.
-        unchanged = (
-            detached_subscription
-            if detached_subscription is not None and detached_subscription.key == term_key(copied)
-            else None
-        )
+        unchanged = self._find_detached(key, copied)
         sent_counter = SentCounter() if unchanged is None else unchanged.sent_counter
-        rate_limiter = (
-            None
-            if rate_operator is None
-            else self._create_rate_limiter(
-                rate_operator,
-                pattern,
-                title,
-                unchanged,
-                self._create_sender(sent_counter, topic_text, subscription_id),
-            )
-        )
+        rate_limiter = None
+        rate_terms: Tuple[Term, ...] = ()
+        if rate_operator is not None:
+            send = self._create_sender(sent_counter, topic_text, subscription_id)
+            rate_limiter = self._create_rate_limiter(rate_operator, pattern, title, unchanged, send)
+            rate_terms = terms_of_rate_operator(rate_operator)
         listener = self._dispatcher.listen(
             ListenerPhase.SUBSCRIPTIONS,
             pattern,
             self._create_event_action(recording, sent_counter, topic_text, subscription_id, rate_limiter),
-            unread_variables=unused_variables(
-                pattern,
-                conditions,
-                template,
-                () if rate_operator is None else terms_of_rate_operator(rate_operator),
-            ),
+            unread_variables=unused_variables(pattern, conditions, template, rate_terms),
         )
         self._all[key] = Subscription(listener, subscription_id, sent_counter, copied, rate_limiter)
+
+    def _find_detached(self, key: SubscriptionKey, definition: Term) -> Optional[Subscription]:
+        """Return the subscription that a reload has detached, if it has this definition.
+
+        Its counter and the state of its rate limiter continue.
+        """
+        subscription = self._detached.get(key)
+        return None if subscription is None or subscription.key != term_key(definition) else subscription
 
     def _create_event_action(
         self,

@@ -419,26 +419,37 @@ def _elementwise(
         if isinstance(first, np.ndarray) and isinstance(second, np.ndarray):
             _check_lengths(first, second, right)
         check_limits(size=8 * sizes[0])
-        if bound_result is not None and _is_integral(first) and _is_integral(second):
-            if bound_result(_magnitude(first), _magnitude(second)) <= _GREATEST_INTEGER:
-                return array_term(apply(_as_int64(first), _as_int64(second)))
-            # Integers of any size, as the list would have them.
-            pairs = zip(_as_list(first, sizes[0]), _as_list(second, sizes[0]))
-            return make_list([apply(left_item, right_item) for left_item, right_item in pairs])
-        first_values, second_values = _as_float64(first), _as_float64(second)
-        with np.errstate(all="ignore"):
-            if apply is operator.truediv and not np.all(second_values):
-                raise evaluation_error("zero_divisor")
-            result = apply(first_values, second_values)
-            # nan and infinity stay what they are; arithmetic on finite numbers must not create them.
-            if (
-                not np.isfinite(result).all()
-                and ((np.isfinite(first_values) & np.isfinite(second_values)) & ~np.isfinite(result)).any()
-            ):
-                raise evaluation_error("float_overflow")
-        return array_term(result)
+        if bound_result is None or not _is_integral(first) or not _is_integral(second):
+            return array_term(_apply_to_floats(apply, first, second))
+        if bound_result(_magnitude(first), _magnitude(second)) <= _GREATEST_INTEGER:
+            return array_term(apply(_as_int64(first), _as_int64(second)))
+        # Integers of any size, as the list would have them.
+        pairs = zip(_as_list(first, sizes[0]), _as_list(second, sizes[0]))
+        return make_list([apply(left_item, right_item) for left_item, right_item in pairs])
 
     return run
+
+
+def _apply_to_floats(apply: Callable[[Any, Any], Any], first: _Operand, second: _Operand) -> "Array":
+    """Return the result of an operation on doubles, for at least one array.
+
+    Raises:
+        PrologError: an evaluation error for a division by 0, and for finite numbers whose result is not finite.
+    """
+    import numpy as np  # noqa: PLC0415 - see `array_terms`
+
+    first_values, second_values = _as_float64(first), _as_float64(second)
+    with np.errstate(all="ignore"):
+        if apply is operator.truediv and not np.all(second_values):
+            raise evaluation_error("zero_divisor")
+        result: Array = apply(first_values, second_values)
+        # nan and infinity stay what they are; arithmetic on finite numbers must not create them.
+        if (
+            not np.isfinite(result).all()
+            and ((np.isfinite(first_values) & np.isfinite(second_values)) & ~np.isfinite(result)).any()
+        ):
+            raise evaluation_error("float_overflow")
+    return result
 
 
 def _is_integral(operand: _Operand) -> bool:
