@@ -16,15 +16,15 @@ def make_program(folder: Path) -> Any:
     message_type = 'msg_type="std_msgs/String"'
     (folder / "pub_sub.xml").write_text(
         f'<publish_subscribe><subscribe_to name="heard" {message_type}/>'
-        f'<publish_to name="said" {message_type}/></publish_subscribe>'
+        f'<publish_to name="speech" {message_type}/></publish_subscribe>'
     )
     (folder / "eventRules.txt").write_text(
         "again(Text) <- std_msgs__0__String(Text) seq std_msgs__0__String(Text).\n"
     )
     (folder / "goalPredicates.txt").write_text(
         "compile_event_file('eventRules.txt')\n"
-        "subscribe(std_msgs__0__String(_), [], _, said, all)\n"
-        "subscribe(again(Text), [], std_msgs__0__String(Text), said, twice)\n"
+        "subscribe(std_msgs__0__String(_), [], _, speech, all)\n"
+        "subscribe(again(Text), [], std_msgs__0__String(Text), speech, twice)\n"
     )
     return folder
 

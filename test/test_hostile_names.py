@@ -228,7 +228,7 @@ def test_names_in_rules_and_memories_are_unchanged(name: Any) -> None:
         l([label({quoted})]) : labelled({quoted}, X) <- {quoted}(X, {quoted}).
         {quoted}(_, {quoted}).
         {quoted} --> [{quoted}], "x".
-        found(X, Y) :- {quoted}(X, Y), \\+ \\+ Y = {quoted}.
+        pair(X, Y) :- {quoted}(X, Y), \\+ \\+ Y = {quoted}.
     """
     goals = f"""
         memorize({quoted}(X, {quoted}), [{quoted}(X, _)], {quoted}(X), {quoted}, 10).
@@ -243,7 +243,7 @@ def test_names_in_rules_and_memories_are_unchanged(name: Any) -> None:
     assert f"labelled({quoted},2)" in events
     assert outputs == [(f"{quoted}({number})", name, quoted) for number in range(3)]
     assert engine.query(
-        f"prev({quoted}, R, _, _, 100), R == {quoted}(2), found(_, {quoted}), nb_getval({quoted}, {quoted})"
+        f"prev({quoted}, R, _, _, 100), R == {quoted}(2), pair(_, {quoted}), nb_getval({quoted}, {quoted})"
     )
     (parsed,) = engine.query(f"phrase({quoted}, L)")  # a text in a grammar is a list of codes
     assert list_items(parsed["L"]) == [atom(name), ord("x")]

@@ -55,7 +55,7 @@ def test_streams_are_reproducible_and_ordered(other_systems: Any, work: str) -> 
 def test_table_has_row_per_work(
     other_systems: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    file = tmp_path / "found.json"
+    file = tmp_path / "results.json"
     small = ["--events", "300", "--runs", "1", "--json", str(file)]
     assert other_systems.main(["--work", "sliding", *small, "--markdown"]) == 0
     table = capsys.readouterr().out.splitlines()

@@ -71,7 +71,7 @@ def test_result_has_requested_format(
     bag = make_bag(tmp_path / "a.bag", "x", "x")
     assert play_bag(make_task(program, bag, tmp_path / "text", None), str(tmp_path)) == (BagOutcome(0, ""))
     assert (tmp_path / "text").read_text().splitlines() == [
-        """output(std_msgs__0__String('"x"'),said).""",
+        """output(std_msgs__0__String('"x"'),speech).""",
     ] * 3
     assert play_bag(make_task(program, bag, tmp_path / "lines", "jsonl"), str(tmp_path)) == (
         BagOutcome(0, "")
@@ -81,7 +81,7 @@ def test_result_has_requested_format(
     assert len(lines) == 3
     assert play_bag(make_task(program, bag, tmp_path / "b.bag", "bag"), str(tmp_path)) == (BagOutcome(0, ""))
     with BagReader(tmp_path / "b.bag") as reader:
-        assert [record.topic.name for record in reader.records()] == ["/said"] * 3
+        assert [record.topic.name for record in reader.records()] == ["/speech"] * 3
     assert capsys.readouterr() == ("", "")
 
 
@@ -95,11 +95,11 @@ def test_table_has_messages_of_outputs(program: Any, tmp_path: Path, name: str) 
     assert play_bag(task, str(tmp_path)) == BagOutcome(0, "")
     if table_format == "parquet":
         rows = parquet.read_table(tmp_path / name).to_pylist()
-        assert [row["message"] for row in rows] == [None, {"said": {"data": "x"}}]
+        assert [row["message"] for row in rows] == [None, {"speech": {"data": "x"}}]
     else:
         with (tmp_path / name).open(encoding="utf-8", newline="") as file:
             rows = list(csv.DictReader(file))
-        assert [row["message.said.data"] for row in rows] == ["", "x"]
+        assert [row["message.speech.data"] for row in rows] == ["", "x"]
     assert [row["robot"] for row in rows] == ["r7", "r7"]
 
 
@@ -130,7 +130,7 @@ def test_mcap_result_has_published_messages(program: Any, tmp_path: Path) -> Non
     assert result == BagOutcome(0, "")
     with open_bag(tmp_path / "a.mcap") as reader:
         assert [(record.topic.name, record.data[8:-1]) for record in reader.records()] == [
-            ("/said", b"x")
+            ("/speech", b"x")
         ] * 3
 
 

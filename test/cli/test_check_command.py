@@ -271,7 +271,7 @@ def test_program_with_action_has_no_findings(capsys: pytest.CaptureFixture[str],
 
 
 def test_misspelt_type_of_action_is_reported(capsys: pytest.CaptureFixture[str], docking: Path) -> None:
-    rules = "said(S) <- dock__status(_, S).\n"
+    rules = "docked(S) <- dock__status(_, S).\n"
     assert check_docking(capsys, docking, ACTION.format("lab/Dok"), rules) == [
         f"warning: {docking}/pub_sub.xml:1:20: there is no action type lab/Dok; did you mean lab/Dock? [RT1101]"
     ]
@@ -290,7 +290,7 @@ def test_misspelt_event_of_action_is_reported(capsys: pytest.CaptureFixture[str]
 def test_wrong_number_of_slots_of_action_is_reported(
     capsys: pytest.CaptureFixture[str], docking: Path
 ) -> None:
-    (finding,) = check_docking(capsys, docking, ACTION.format("lab/Dock"), "said(S) <- dock__status(S).\n")
+    (finding,) = check_docking(capsys, docking, ACTION.format("lab/Dock"), "docked(S) <- dock__status(S).\n")
     assert "lab/Dock__status has 2 slots: goal_id, status" in finding
 
 

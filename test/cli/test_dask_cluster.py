@@ -248,12 +248,12 @@ def test_loggers_of_dask_are_silent_during_run(
     assert [record.message for record in caplog.records] == ["after the run"]
 
 
-@pytest.mark.parametrize("found", ["2.8.1", "2022.03.0"])
+@pytest.mark.parametrize("version", ["2.8.1", "2022.03.0"])
 def test_old_distributed_is_refused(
-    monkeypatch: pytest.MonkeyPatch, listener: ClusterListener, found: str
+    monkeypatch: pytest.MonkeyPatch, listener: ClusterListener, version: str
 ) -> None:
-    monkeypatch.setitem(sys.modules, "distributed", SimpleNamespace(__version__=found))
-    with pytest.raises(UsageError, match=f"needs version 2022.4 or later of .* distributed, found {found}"):
+    monkeypatch.setitem(sys.modules, "distributed", SimpleNamespace(__version__=version))
+    with pytest.raises(UsageError, match=f"needs version 2022.4 or later of .* distributed, found {version}"):
         list(run_on_cluster(join, ["a"], ClusterOptions(ADDRESS), listener))
 
 

@@ -309,7 +309,7 @@ def test_incomplete_bag_is_played_with_status_3(
     description = cut_bag(bag, "x")
     assert main(["bag", str(bag), "--program", program]) == 3
     captured = capfd.readouterr()
-    assert captured.out == """output(std_msgs__0__String('"x"'),said).\n"""
+    assert captured.out == """output(std_msgs__0__String('"x"'),speech).\n"""
     assert captured.err.startswith(f"warning: {description}")
     assert captured.err.count("\n") == 1
     assert main(["bag", str(bag), "--program", program, "--json", "--times=relative"]) == 3

@@ -281,7 +281,7 @@ def test_small_graph_has_no_hint_to_scroll(page: Any) -> None:
 
 
 def test_texts_of_program_are_not_markup(page: Any, program: Any) -> None:
-    program.event(f"said('{HOSTILE}')", 5)
+    program.event(f"speech('{HOSTILE}')", 5)
     program.load(rules=f"'{HOSTILE}' <- '{HOSTILE}'(_).", goals=f"memorize(x, [], _, '{HOSTILE}', 5)")
     for part in ("#events", "#rules", "#memories"):
         wait_for_text(page, part, HOSTILE)

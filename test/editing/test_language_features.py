@@ -52,7 +52,7 @@ def index_of(folder: Path, name: str = "eventRules.txt") -> ProgramIndex:
 def problems_of(folder: Path, texts: Dict[str, str], folder_or_file: str = "") -> Any:
     unsaved_texts = {str(folder / name): text for name, text in texts.items()}
     problems = find_problems(str(folder / folder_or_file), unsaved_texts, DEFINITIONS, Settings())
-    return {os.path.relpath(path, folder): found for path, found in problems.items()}
+    return {os.path.relpath(path, folder): file_problems for path, file_problems in problems.items()}
 
 
 def test_program_without_mistakes_has_no_problems(folder: Path) -> None:

@@ -162,7 +162,10 @@ def test_rename(editor: EditorClient, folder: Path) -> None:
     editor.open(rules)
     assert editor.at("textDocument/prepareRename", rules, 0, 1)["end"] == {"line": 0, "character": 4}
     changes = editor.at("textDocument/rename", rules, 0, 1, newName="spotted")["changes"]
-    edits = {uri.rpartition("/")[2]: [edit["newText"] for edit in found] for uri, found in changes.items()}
+    edits = {
+        uri.rpartition("/")[2]: [edit["newText"] for edit in text_edits]
+        for uri, text_edits in changes.items()
+    }
     assert edits == {"eventRules.txt": ["spotted"] * 3, "goalPredicates.txt": ["spotted"] * 2}
     position = {"line": 0, "character": 13}
     response = editor.response(

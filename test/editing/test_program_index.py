@@ -46,7 +46,9 @@ def use_at(index: ProgramIndex, path: Path, text: str) -> SymbolUse:
 
 
 def places(index: ProgramIndex, use: SymbolUse) -> List[Tuple[str, bool]]:
-    return [(Path(file.path).name, found.is_definition) for file, found in index.uses_of(use.symbol)]
+    return [
+        (Path(file.path).name, use_in_file.is_definition) for file, use_in_file in index.uses_of(use.symbol)
+    ]
 
 
 @pytest.mark.parametrize("name", ["eventRules.txt", "goalPredicates.txt", "pub_sub.xml", "lib/more.txt"])

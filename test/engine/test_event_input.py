@@ -27,7 +27,7 @@ from retalis.prolog.terms import timestamps
 from retalis.prolog.terms.timestamps import SECOND
 
 TOPICS = Topics(
-    (topic_type("/left", "std_msgs/Bool"), topic_type("said", "std_msgs/String")),
+    (topic_type("/left", "std_msgs/Bool"), topic_type("speech", "std_msgs/String")),
     events=(TopicEvent("/left", "bump"),),
 )
 
@@ -45,7 +45,7 @@ def test_goal_subscribes_to_topic_once(engine_with_topics: Tuple[Any, ...]) -> N
     engine.load(goals="subscribe_to(right, 'std_msgs/Bool', bumper_right)\nsubscribe_to(scan, 'a/msg/B')")
     assert engine.call("""subscribe_to("/right", "std_msgs/Bool", bumper_right)""")
     assert engine.call("subscribe_to(right, 'std_msgs/msg/Bool', bumper_right)")
-    assert engine.call("subscribe_to(said, 'std_msgs/String'), subscribe_to(left, 'std_msgs/Bool', bump)")
+    assert engine.call("subscribe_to(speech, 'std_msgs/String'), subscribe_to(left, 'std_msgs/Bool', bump)")
     assert subscriptions == [("right", "std_msgs/Bool", "bumper_right"), ("scan", "a/B", "")]
     joined = engine.input_topics.merge_with(TOPICS)
     assert joined.subscribed == (
@@ -59,8 +59,8 @@ def test_goal_subscribes_to_topic_once(engine_with_topics: Tuple[Any, ...]) -> N
 @pytest.mark.parametrize(
     ("goal", "message"),
     [
-        ("subscribe_to(said, 'std_msgs/Int32')", "it is subscribed already as std_msgs/String"),
-        ("subscribe_to(said, 'std_msgs/String', x)", "it is subscribed already as std_msgs/String"),
+        ("subscribe_to(speech, 'std_msgs/Int32')", "it is subscribed already as std_msgs/String"),
+        ("subscribe_to(speech, 'std_msgs/String', x)", "it is subscribed already as std_msgs/String"),
         ("subscribe_to(left, 'std_msgs/Bool')", "as std_msgs/Bool, with events called bump"),
         ("subscribe_to('a b', 'std_msgs/Int32')", "a b"),
         ("subscribe_to(a, 'Int32')", "package/Type"),

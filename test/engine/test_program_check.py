@@ -11,7 +11,7 @@ from retalis.engine.program_check import check_program, explain_missing_events, 
 from retalis.events.program.topic_configuration import Topics, topic_type
 from retalis.prolog.syntax.term_reader import read_term
 
-TOPICS = Topics((topic_type("said", "std_msgs/String"),))
+TOPICS = Topics((topic_type("speech", "std_msgs/String"),))
 
 
 @pytest.mark.parametrize(
@@ -90,8 +90,10 @@ def finding_messages(
 
 
 def test_events_of_refused_topics_are_not_reported(tmp_path: Path, definitions: Definitions) -> None:
-    topics = '<subscribe_to name="said" msg_type="std_msgs/String" event="Said"/>'
-    (message,) = finding_messages(tmp_path, definitions, topics, "a(T) <- said{data: T}. b(T) <- siad(T).")
+    topics = '<subscribe_to name="speech" msg_type="std_msgs/String" event="Speech"/>'
+    (message,) = finding_messages(
+        tmp_path, definitions, topics, "a(T) <- speech{data: T}. b(T) <- speach(T)."
+    )
     assert message.startswith("<subscribe_to>: the name of an event begins with a small letter")
 
 

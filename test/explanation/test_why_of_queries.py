@@ -6,7 +6,7 @@ import pytest
 
 from retalis import Engine, explain, record_origins
 
-RULE = "synchronized(found(X), true, [[m, T]]{options}) <- seen(X, T).\nnext(X) <- found(X).\n"
+RULE = "synchronized(answer(X), true, [[m, T]]{options}) <- seen(X, T).\nnext(X) <- answer(X).\n"
 
 
 @pytest.fixture(params=["", ", [timeout(60)]"])
@@ -27,11 +27,11 @@ def explanation_lines(engine: Any, event: str) -> List[str]:
 def test_source_of_query_is_trigger_not_release(engine: Engine) -> None:
     engine.event("seen(a, 5)", 2)
     engine.event("seen(b, 6)", 3)
-    assert not explain(engine, "found(_)").happened
+    assert not explain(engine, "answer(_)").happened
     engine.event("tick(7)", 7)
-    first, second, third = explanation_lines(engine, "found(a)")
-    assert first == "found(a) at 2 was released by"
-    assert second.startswith("synchronized(found(a),true,[[m,5]]")
+    first, second, third = explanation_lines(engine, "answer(a)")
+    assert first == "answer(a) at 2 was released by"
+    assert second.startswith("synchronized(answer(a),true,[[m,5]]")
     assert third == "seen(a,5) at 2 came from outside"
     assert explanation_lines(engine, "next(b)")[0] == "next(b) at 3"
     assert explanation_lines(engine, "next(b)")[-1] == "seen(b,6) at 3 came from outside"

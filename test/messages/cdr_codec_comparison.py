@@ -91,8 +91,8 @@ def rclpy_references() -> Iterator[CdrReference]:
     installed = InstalledTypes([os.path.join(prefix, "share") for prefix in prefixes], [], False)
 
     def find(name: str) -> Optional[str]:
-        found = installed.find(name)
-        return None if found is None else found.text
+        definition = installed.find(name)
+        return None if definition is None else definition.text
 
     for package in installed.packages():
         for type_name in installed.types(package):

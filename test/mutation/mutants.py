@@ -100,11 +100,11 @@ class _Finder(ast.NodeVisitor):
     def _between(self, left: Any, right: Any, pattern: str, text: Any, operator: str) -> None:
         """Replace an operator that stands between two operands, beside parentheses and comments."""
         start, end = self._end(left), self._start(right)
-        found = re.search(
+        match = re.search(
             pattern.encode(), re.sub(rb"#[^\n]*", lambda m: b"#" * len(m.group()), self._data[start:end])
         )
-        if found is not None:
-            self._add(start + found.start(), start + found.end(), text, operator)
+        if match is not None:
+            self._add(start + match.start(), start + match.end(), text, operator)
 
     # Scopes and places without behaviour
 

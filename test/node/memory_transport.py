@@ -25,7 +25,7 @@ class MemoryNetwork:
         watches: functions that receive changes within nodes.
         qualities: demands on the quality of service, by the topic that was subscribed or published last.
         services: node and handler by the full name of a service.
-        ros_parameters: parameters of the middleware by full name; a transport reads them when it is told to.
+        ros_parameters: parameters of the middleware by full name; a transport reads them on request.
         calls: the last call of each service of another node; the test ends it.
     """
 

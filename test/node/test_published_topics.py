@@ -58,31 +58,31 @@ def topics(network: MemoryNetwork) -> Topics:
 def test_text_of_plain_program_is_published(network: MemoryNetwork, text: str) -> None:
     definitions = Definitions().with_strings("plain")
     published = PublishedTopics(MemoryTransport(network), definitions, 5, Reports())
-    published.advertise("said", "std_msgs/String")
-    published.publish_text(f"event(std_msgs__0__String({text}),said,id)")
-    assert network.publications["/said"][0].messages == [b"\5\0\0\0hello"]
+    published.advertise("speech", "std_msgs/String")
+    published.publish_text(f"event(std_msgs__0__String({text}),speech,id)")
+    assert network.publications["/speech"][0].messages == [b"\5\0\0\0hello"]
 
 
 def test_output_is_published_as_message(network: MemoryNetwork, topics: Topics) -> None:
-    topics.advertise("said", "std_msgs/String")
-    topics.publish(TEXT, "said")
-    (publication,) = network.publications["/said"]
+    topics.advertise("speech", "std_msgs/String")
+    topics.publish(TEXT, "speech")
+    (publication,) = network.publications["/speech"]
     assert publication.messages == [b"\x01\0\0\0a"]
     (status,) = topics.statuses()
-    assert (status.topic, status.type, status.sent) == ("/said", "std_msgs/String", 1)
+    assert (status.topic, status.type, status.sent) == ("/speech", "std_msgs/String", 1)
 
 
 def test_term_of_another_type_is_reported(network: MemoryNetwork, topics: Topics) -> None:
-    topics.advertise("said", "std_msgs/String")
-    topics.publish(atom("a"), "said")
-    assert (network.publications["/said"][0].messages, topics.reports.errors) == ([], 1)
+    topics.advertise("speech", "std_msgs/String")
+    topics.publish(atom("a"), "speech")
+    assert (network.publications["/speech"][0].messages, topics.reports.errors) == ([], 1)
 
 
 def test_topic_has_one_type(topics: Topics) -> None:
-    topics.advertise("said", "std_msgs/String")
-    topics.advertise("said", "std_msgs/String")
-    with pytest.raises(UsageError, match="topic said already has the type std_msgs/String"):
-        topics.advertise("said", "std_msgs/Int8")
+    topics.advertise("speech", "std_msgs/String")
+    topics.advertise("speech", "std_msgs/String")
+    with pytest.raises(UsageError, match="topic speech already has the type std_msgs/String"):
+        topics.advertise("speech", "std_msgs/Int8")
 
 
 def test_topic_is_advertised_if_type_is_found(network: MemoryNetwork, topics: Topics) -> None:
@@ -124,11 +124,11 @@ def test_advice_for_invalid_topic_is_its_fault(
 
 
 @pytest.mark.parametrize(
-    ("topic", "warnings"), [("said", 0), ("/said", 0), ("other", 1), (f"{WATCH}1", 0), ("no name!", 1)]
+    ("topic", "warnings"), [("speech", 0), ("/speech", 0), ("other", 1), (f"{WATCH}1", 0), ("no name!", 1)]
 )
 def test_topic_without_type_is_warned_of_once(network: MemoryNetwork, topic: str, warnings: int) -> None:
     reports = Reports()
-    checker = UntypedTopicWarnings(MemoryTransport(network), ["said"], reports)
+    checker = UntypedTopicWarnings(MemoryTransport(network), ["speech"], reports)
     checker.check(topic)
     checker.check(topic)
     assert reports.warnings == warnings

@@ -60,7 +60,7 @@ class IdentifyingRepetitions(Conditions):
             runs.append(run)
         # Table: zero repetitions fire at the start; count, sum and list with 0, 0 and [].
         results = self._result(node, run, conditions)
-        # Patterns: seq takes a late first side under out_of_order; each Q that came before it is a later one of
+        # Patterns: seq takes a late first side under out_of_order; each Q that precedes it is a later one of
         # its run.
         for q in list(waiting):
             fired = self._extended(node, run, q, conditions)

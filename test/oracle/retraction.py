@@ -232,7 +232,7 @@ class RevisedState(RuleState):
         return fired
 
     def _started(self, node: Any, p: Match, conditions: List[Pattern], waiting: List[Match]) -> List[Match]:
-        """Extend `RuleState`: a start that revision has released takes repetitions that came after it."""
+        """Extend `RuleState`: a start that revision has released takes later repetitions."""
         if self.reviving and not self.out_of_order:
             waiting = [record.match for record in self.passed[node] if self.is_available(p, record)]
         return super()._started(node, p, conditions, waiting)

@@ -574,7 +574,7 @@ class PendingQueries:
         return 100_000
 
     def __iter__(self) -> Iterator[Any]:
-        query = SimpleNamespace(create_event=lambda values: atom("found"))
+        query = SimpleNamespace(create_event=lambda values: atom("answer"))
         for order in range(len(self)):
             self.read_count += 1
             yield order, query, (), None, None, []

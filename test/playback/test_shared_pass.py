@@ -32,7 +32,7 @@ GOALS = {
     "old": ["subscribe(hot(_), [], _, alarms, a)", "subscribe(late(_), [], _, alarms, b)"],
     "new": [
         "subscribe(hot(_), [], _, alarms, a)",
-        "subscribe(said(_), [], _, alarms, b)",
+        "subscribe(speech(_), [], _, alarms, b)",
         "subscribe(more(_), [], _, alarms, c)",
     ],
 }

@@ -41,22 +41,22 @@ PROGRAM = r"""
 '$one'(Text) :-
     catch(term_to_atom(G, Text), _, fail), !,
     with_output_to(string(Out),
-                   catch('$found'(G, R), E, R = raised(E))),
+                   catch('$solutions'(G, R), E, R = raised(E))),
     '$result'(R),
     (   Out == "" -> true ; write(' printed '), writeq(Out) ).
 '$one'(_) :-
     write(unread).
 
-'$found'(G, R) :-
+'$solutions'(G, R) :-
     call_with_time_limit(1, call_with_inference_limit(findall(G, limit(5, G), L), 2_000_000, Within)),
     (   Within == inference_limit_exceeded
     ->  R = limit
-    ;   R = found(L)
+    ;   R = solutions(L)
     ).
 
 '$result'(limit) :-
     write(limit).
-'$result'(found(L)) :-
+'$result'(solutions(L)) :-
     write('['), '$items'(L), write(']').
 '$result'(raised(E)) :-
     (   subsumes_term(error(resource_error(_), _), E) -> write(limit)

@@ -40,7 +40,7 @@ class FoundMistake(NamedTuple):
     message: str
 
 
-def write_program(folder: Path, rule: str = "", goal: str = "", topic: str = "", said: str = "") -> None:
+def write_program(folder: Path, rule: str = "", goal: str = "", topic: str = "", findings: str = "") -> None:
     """Write the program with additions to its files."""
     (folder / "pub_sub.xml").write_text(f"{TOPICS}{topic}\n</publish_subscribe>\n")
     (folder / "goalPredicates.txt").write_text(f"{GOALS}{goal}\n")

@@ -10,7 +10,7 @@ from retalis.events.checks.program_model import ProgramModel
 from retalis.events.knowledge.knowledge_base import OWN_EVENTS
 from retalis.events.program.topic_configuration import Topics
 
-TOPICS = Topics((TopicType("said", "std_msgs/String"),))
+TOPICS = Topics((TopicType("speech", "std_msgs/String"),))
 
 
 def messages_of(check: Any, rules: str) -> List[Any]:

@@ -16,7 +16,7 @@ from retalis.events.checks.time_checks import (
 )
 from retalis.events.program.topic_configuration import Topics
 
-TOPICS = Topics((TopicType("said", "std_msgs/String"),))
+TOPICS = Topics((TopicType("speech", "std_msgs/String"),))
 FIRST = "e0 <- std_msgs__0__String(_) where true."
 CHAIN_LENGTH = 400
 
@@ -48,7 +48,7 @@ def test_recursive_events_are_no_instants() -> None:
 
 
 PAIR = "near <- (std_msgs__0__String(_) and std_msgs__0__Bool(_)) within 0.1."
-TWO_TOPICS = Topics((TopicType("said", "std_msgs/String"), TopicType("on", "std_msgs/Bool")))
+TWO_TOPICS = Topics((TopicType("speech", "std_msgs/String"), TopicType("on", "std_msgs/Bool")))
 
 
 def missed(rules: Any, topics: Any = TWO_TOPICS) -> List[Any]:
@@ -98,7 +98,7 @@ def test_condition_after_throttle_is_reported(pattern: str, count: int) -> None:
 def milliseconds(rules: Any, recorded: Any = ()) -> List[Any]:
     engine = Engine()
     engine.load(rules=rules)
-    topics = Topics((TopicType("said", "std_msgs/String"),))
+    topics = Topics((TopicType("speech", "std_msgs/String"),))
     program = ProgramModel(
         engine.rules, engine.knowledge, Definitions(), topics, recorded_topics=tuple(recorded)
     )
@@ -149,11 +149,11 @@ def test_span_is_compared_with_the_rate_of_a_bag(
     rules = f"heard(T) <- std_msgs__0__String(T). x <- heard(T) seq absent(heard(T), {span})."
     engine = Engine()
     engine.load(rules=rules)
-    recorded = (RecordedTopic("/said", "std_msgs/String", period),)
+    recorded = (RecordedTopic("/speech", "std_msgs/String", period),)
     program = ProgramModel(engine.rules, engine.knowledge, definitions, TOPICS, recorded_topics=recorded)
     messages = [error.message for error in find_likely_milliseconds(program)]
     assert len(messages) == count
-    assert all(f"in the bag, a message of said arrives every {period} s" in message for message in messages)
+    assert all(f"in the bag, a message of speech arrives every {period} s" in message for message in messages)
 
 
 def unkeyed(rules: str) -> List[Any]:

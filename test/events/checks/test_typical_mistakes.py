@@ -21,7 +21,7 @@ def mistakes() -> Iterator[Any]:
         lines_by_part = defaultdict(list)
         for line in lines:
             if line.startswith("|"):
-                lines_by_part["said"].append(line[2:])
+                lines_by_part["findings"].append(line[2:])
             else:
                 lines_by_part[line[:6].strip()].append(line[6:])
         yield pytest.param({part: "\n".join(lines) for part, lines in lines_by_part.items()}, id=name)
@@ -38,7 +38,7 @@ def test_mistake_has_one_finding_with_position(
     tmp_path: Path, definitions: Definitions, mistake: Any
 ) -> None:
     write_program(tmp_path, **mistake)
-    assert findings_text(tmp_path, definitions) == mistake["said"]
+    assert findings_text(tmp_path, definitions) == mistake["findings"]
 
 
 def test_table_has_thirty_mistakes() -> None:

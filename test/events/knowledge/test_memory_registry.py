@@ -146,7 +146,7 @@ def test_rule_matches_memory_update() -> None:
 
 
 def test_update_beyond_depth_limit_is_reported(caplog: pytest.LogCaptureFixture) -> None:
-    rules = "a(Y) <- a(X) where (X < 20, Y is X + 1). told(I) <- memory_updated(I, _). done <- a(1)."
+    rules = "a(Y) <- a(X) where (X < 20, Y is X + 1). updated(I) <- memory_updated(I, _). done <- a(1)."
     engine = RecordingEngine(rules, "memorize(a(20), [], _, m, 5)", max_depth=19)
     engine.event("a(1)", 1)
     assert "update of memory m is not reported" in caplog.text

@@ -148,7 +148,7 @@ def test_reset_clears_state_of_rates() -> None:
 
 
 def test_rates_are_restored() -> None:
-    goal = "subscribe(a(X) with throttle(100), [], _, t, 1)\nsubscribe(a(X) with debounce(2, X), [], said(X), t, 2)"
+    goal = "subscribe(a(X) with throttle(100), [], _, t, 1)\nsubscribe(a(X) with debounce(2, X), [], speech(X), t, 2)"
     engine = Engine()
     engine.load(goals=goal + "\nsubscribe(a(_), [], _, t, 3)\nsubscribe(a(X) with change(X), [], _, t, 4)")
     for second, value in ((1, 1), (2, 2), (3, 2)):

@@ -40,13 +40,13 @@ class RuleRunner:
         self.outputs: List[Any] = []
         for name, value in flags:
             assert self.engine.call(f"set_etalis_flag({name}, {value})")
-        self.engine.load(rules=f"{label} : found(K, L) <- {pattern}.")
+        self.engine.load(rules=f"{label} : match(K, L) <- {pattern}.")
         self._record_outputs()
 
     def _record_outputs(self) -> None:
         def record(term: Any, start: Any, end: Any) -> None:
-            if self.engine.show(term).startswith("found"):
-                self.outputs.append(self.engine.show(term)[len("found(") : -1])
+            if self.engine.show(term).startswith("match"):
+                self.outputs.append(self.engine.show(term)[len("match(") : -1])
 
         self.engine.on_event(record)
 

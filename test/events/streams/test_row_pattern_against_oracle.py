@@ -18,7 +18,7 @@ from retalis.events.streams.row_pattern_states import CompletedMatch, PartitionS
 from retalis.prolog.terms.timestamps import SECOND
 
 KEY, VALUE, RESULT, STARTS = Var(), Var(), Var(), Var()
-READING, OUTPUT_EVENT = functor("reading", 2), functor("found", 3)
+READING, OUTPUT_EVENT = functor("reading", 2), functor("match", 3)
 
 
 def rule_of(steps: Any, skip: str = PAST_LAST) -> str:
@@ -57,7 +57,7 @@ def expected_outputs(steps: Any, readings: Any, skip: str = PAST_LAST) -> Any:
             columns = [
                 ",".join(str(items[position][var]) for position, _ in match) for var in (VALUE, STAMPS["t1"])
             ]
-            outputs.append(f"found({key},[{columns[0]}],[{columns[1]}])")
+            outputs.append(f"match({key},[{columns[0]}],[{columns[1]}])")
     return outputs
 
 
@@ -75,7 +75,7 @@ def outputs_of_rule(rule: Any, readings: Any, restore_before: Any = None) -> Lis
         if position == restore_before:
             engine = record_events(Engine.restore(engine.snapshot()))
         engine.event(f"reading({key},{value})", start_of(position, value), position)
-    return [event for event in events if event.startswith("found")]
+    return [event for event in events if event.startswith("match")]
 
 
 def timeouts_of_rule(rule: Any, readings: Any, restore_before: Any = None) -> Any:
@@ -93,7 +93,7 @@ def timeouts_of_rule(rule: Any, readings: Any, restore_before: Any = None) -> An
             engine = record_events(Engine.restore(engine.snapshot()))
         engine.event(f"reading({key},{value})", start_of(position, value), position)
     engine.event("end", 100)
-    return sorted(event for event in events if event[0].startswith("found"))
+    return sorted(event for event in events if event[0].startswith("match"))
 
 
 def expected_timeouts(steps: Any, readings: Any, span: int) -> Any:
@@ -121,7 +121,7 @@ def expected_timeouts(steps: Any, readings: Any, span: int) -> Any:
                 ",".join(str(items[place][VALUE]) for place, _ in match),
                 ",".join(names[step] for _, step in match),
             ]
-            outputs.append((f"found({key},[{columns[0]}],[{columns[1]}])", deadline))
+            outputs.append((f"match({key},[{columns[0]}],[{columns[1]}])", deadline))
     return sorted(outputs)
 
 
@@ -181,12 +181,12 @@ def test_timeouts_equal_those_of_exhaustive_search(
 def test_postponed_matches_are_restored() -> None:
     """Several partial matches begin at the same reading; later readings decide between them."""
     steps = "p where V == 0, later(y(0, 1, until(V == 8))) where V == 9, later(z(0, 1, until(V == 7))) where V == 6"
-    rule = f"found(K, L) <- aggregate(list(V), reading(K, V), L, steps([{steps}]))."
+    rule = f"match(K, L) <- aggregate(list(V), reading(K, V), L, steps([{steps}]))."
     readings = [("a", value) for value in [0, 0, 0, 9, 1, 8, 8, 2, 0, 1, 7, 7]]
     assert (
         outputs_of_rule(rule, readings, restore_before=9)
         == outputs_of_rule(rule, readings)
-        == ["found(a,[0,9])"]
+        == ["match(a,[0,9])"]
     )
 
 
@@ -232,7 +232,7 @@ def test_memory_for_element_is_independent_of_matches() -> None:
     peaks: List[Any] = []
     for waiting_count in (10, 800):
         engine = Engine()
-        engine.load(rules=f"found(L) <- aggregate(list(V), reading(V), L, steps([{WAITING}])).")
+        engine.load(rules=f"match(L) <- aggregate(list(V), reading(V), L, steps([{WAITING}])).")
         for position in range(waiting_count):
             engine.event("reading(0)", position)
         tracemalloc.start()
@@ -294,12 +294,12 @@ def test_aggregate_of_variable_checks_its_values_only(aggregate: str, result: st
     reports = RecordingReports()
     engine, events = Engine(reports=reports), []
     engine.load(
-        rules=f"found(A) <- aggregate(of(b, {aggregate}), reading(V), A, steps([a where V == go, b(2)]))."
+        rules=f"match(A) <- aggregate(of(b, {aggregate}), reading(V), A, steps([a where V == go, b(2)]))."
     )
     engine.on_event(lambda term, *interval: events.append(engine.show(term)))
     for second, value in enumerate(["go", "2", "off", "2"]):
         engine.event(f"reading({value})", second)
-    assert events[-1] == f"found({result})"
+    assert events[-1] == f"match({result})"
     name, value = aggregate.partition("(")[0], "off*1" if "*" in aggregate else "off"
     assert [report.partition(": ")[2] for report in reports.messages] == [
         f"aggregate {name}: the value is '{value}': expected a number"

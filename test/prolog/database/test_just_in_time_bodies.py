@@ -107,13 +107,13 @@ def test_facts_change_during_compiled_search() -> None:
 def test_compiled_body_keeps_errors_and_cuts(monkeypatch: pytest.MonkeyPatch) -> None:
     text = """
     go(S) :- between(1, 100, X), ( X =:= 60 -> Y = a ; Y = 1 ), catch(Z is X + Y, error(E, _), (S = X-E, !)), Z < 0.
-    throws(N) :- between(1, 100, X), ( X > N -> throw(found(X)) ; true ), fail.
+    throws(N) :- between(1, 100, X), ( X > N -> throw(result(X)) ; true ), fail.
     """
     expected = [first(prolog(text), "go(S)"), answers(prolog(text), "throws(50)")]
     monkeypatch.setattr(machine, "SLICE", (None,) * 7)
     logic = prolog(text, NEVER)
     assert [first(logic, "go(S)"), answers(logic, "throws(50)")] == expected
-    assert expected[1] == ["found(51)"]
+    assert expected[1] == ["result(51)"]
 
 
 def test_body_with_large_term_keeps_answer(compilations: Any, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -147,7 +147,7 @@ def test_new_budget_needs_no_check() -> None:
 def test_inline_goals_of_rules_are_limited(goal: str) -> None:
     reports = RecordingReports()
     engine = Engine(settings=Settings(limits=Limits(inferences=2000)), reports=reports)
-    engine.load(rules=f"found(X) do ({goal}) <- e.")
+    engine.load(rules=f"answer(X) do ({goal}) <- e.")
     engine.event("e", 1)
     assert ["resource" in error or "inferences" in error for error in reports.texts] == [True]
 

@@ -74,7 +74,7 @@ def test_rule_calls_swi_predicate(program: Any) -> None:
 
 def test_synchronized_query_calls_swi_predicate(program: Any) -> None:
     engine = program(
-        "synchronized(found(Y), lookup(T, Y), [[m, T]]) <- ask(T).\n"
+        "synchronized(answer(Y), lookup(T, Y), [[m, T]]) <- ask(T).\n"
         "lookup(T, Y) :- prev(m, number(X), _, _, T), inc(X, Y).\n"
     )
     engine.load(goals="memorize(number(X), [], number(X), m, 10)")
@@ -83,7 +83,7 @@ def test_synchronized_query_calls_swi_predicate(program: Any) -> None:
     engine.event("number(6)", 1)
     engine.event("ask([2, 0])", 2)
     engine.event("number(8)", 3)
-    assert "found(7)" in outputs
+    assert "answer(7)" in outputs
 
 
 @pytest.mark.parametrize(

@@ -166,7 +166,7 @@ def test_restored_engine_loads_swi_file_again(swi: SwiLibrary, tmp_path: Path) -
     )
     engine = Engine(settings=ALLOWED)
     engine.load(
-        rules=":- use_swi('kept.pl', [learn/1, known/1]).\nlearnt(X) <- told(X) where known(X).",
+        rules=":- use_swi('kept.pl', [learn/1, known/1]).\nlearnt(X) <- taught(X) where known(X).",
         folder=tmp_path,
     )
     data = engine.snapshot()
