@@ -68,7 +68,7 @@ import logging
 import sys
 
 from retalis import Engine, ProgramErrors, StreamClock
-from retalis.explanation.event_explanations import explain, record_origins
+from retalis.explanation.event_and_output_explanations import explain, record_origins
 from retalis.prolog.terms.timestamps import SECOND
 from retalis.prolog.terms.types import functor
 

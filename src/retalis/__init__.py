@@ -33,7 +33,7 @@ if TYPE_CHECKING:  # for type checkers; a program gets them by `__getattr__`
     from .engine.runtime.problem_reports import Reports
     from .events.clock.clock import Clock, StreamClock
     from .events.program.topic_configuration import TopicType
-    from .explanation.event_explanations import explain, record_origins
+    from .explanation.event_and_output_explanations import explain, record_origins
     from .explanation.explanation_lines import Explanation, ExplanationLine
     from .foundation.errors import (
         MessageError,
@@ -144,7 +144,7 @@ _MODULES = {
     "deref": "prolog.terms.types",
     "Encoder": "messages.encoder",
     "Engine": "engine.engine",
-    "explain": "explanation.event_explanations",
+    "explain": "explanation.event_and_output_explanations",
     "Explanation": "explanation.explanation_lines",
     "ExplanationLine": "explanation.explanation_lines",
     "foreign": "prolog.system.foreign_functions",
@@ -167,7 +167,7 @@ _MODULES = {
     "ProgramErrors": "foundation.errors",
     "PrologError": "prolog.machine.errors",
     "Record": "playback.rosbag1",
-    "record_origins": "explanation.event_explanations",
+    "record_origins": "explanation.event_and_output_explanations",
     "Reports": "engine.runtime.problem_reports",
     "restore_gc": "foundation.garbage_collection",
     "RetalisError": "foundation.errors",

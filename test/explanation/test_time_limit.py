@@ -6,7 +6,7 @@ from typing import List
 import pytest
 
 from retalis import Engine, UsageError, explain, record_origins
-from retalis.explanation import event_explanations
+from retalis.explanation import event_and_output_explanations
 
 
 @pytest.fixture
@@ -47,7 +47,7 @@ def test_rules_are_unchanged_after_interruption(check_count: int, monkeypatch: p
         engine.event(f"smoke(room({number}))", number)
     # The first call computes the end of the limit, each further one checks it.
     times = chain([0.0] * (check_count + 1), repeat(10.0))
-    monkeypatch.setattr(event_explanations, "monotonic", lambda: next(times))
+    monkeypatch.setattr(event_and_output_explanations, "monotonic", lambda: next(times))
     with pytest.raises(UsageError, match="no explanation within 1 s"):
         explain(engine, "alarm(kitchen)", seconds=1.0)
     engine.event("smoke(bath)", 100)

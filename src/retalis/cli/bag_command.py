@@ -37,7 +37,7 @@ from typing import (
 from ..engine.engine_settings import Settings
 from ..engine.run_records import RunRecord, open_records
 from ..events.program.topic_configuration import TopicType, topic_type
-from ..explanation.event_explanations import explain, record_origins
+from ..explanation.event_and_output_explanations import explain, record_origins
 from ..foundation.displayed_text import quote_shortened
 from ..foundation.errors import RetalisError, UsageError
 from ..foundation.garbage_collection import limit_gc_pauses, restore_gc

@@ -24,7 +24,7 @@ from ..events.clock.clock import StreamClock
 from ..events.program.goal_file import goal_of, read_goals
 from ..events.program.topic_configuration import read_text
 from ..events.rules.event_input_predicates import event_of
-from ..explanation.event_explanations import explain, record_origins
+from ..explanation.event_and_output_explanations import explain, record_origins
 from ..foundation.errors import ProgramErrors, RetalisError, RuleError, SyntaxFault, UsageError
 from ..foundation.garbage_collection import collect_if_grown, limit_gc_pauses
 from ..foundation.interrupts import check_interrupt, interruptible

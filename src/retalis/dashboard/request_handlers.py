@@ -19,7 +19,7 @@ from tornado.iostream import IOStream, StreamClosedError
 from tornado.web import Application, HTTPError, RequestHandler
 
 from ..engine.client_requests import ask
-from ..explanation.event_explanations import explain, records_origins
+from ..explanation.event_and_output_explanations import explain, records_origins
 from ..foundation.displayed_text import printable_json, shorten
 from ..foundation.errors import RetalisError
 from ..prolog.machine.resource_limits import Limits

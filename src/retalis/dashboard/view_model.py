@@ -18,7 +18,7 @@ from ..engine.engine import Engine
 from ..engine.engine_status import Status
 from ..events.dispatch.argument_projection import NOT_READ
 from ..events.dispatch.listeners import Listener, ListenerPhase
-from ..explanation.event_explanations import records_origins
+from ..explanation.event_and_output_explanations import records_origins
 from ..foundation.displayed_text import printable_json, shorten
 from ..messages.type_definition import functor_name
 from ..prolog.machine.resource_limits import resident_bytes

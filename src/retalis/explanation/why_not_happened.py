@@ -20,7 +20,7 @@ from .why_not_matched import PartResult, WhyNotMatched
 from .why_not_published import WhyNotPublished
 
 if TYPE_CHECKING:
-    from .event_explanations import DerivationTrees
+    from .event_and_output_explanations import DerivationTrees
 
 RequestedInterval = Tuple[int, int]
 """Start and end, in nanoseconds, of the event that is explained."""

@@ -15,7 +15,7 @@ from ..engine.event_input import TopicRequest
 from ..engine.program_check import explain_missing_events, explain_output_mismatch
 from ..engine.runtime.clock_skew import ClockSkewMonitor
 from ..events.program.topic_configuration import Topics, TopicType
-from ..explanation.event_explanations import record_origins
+from ..explanation.event_and_output_explanations import record_origins
 from ..foundation.errors import RetalisError, UsageError
 from ..messages.action_events import CANCEL, GOAL, STATUS, find_action_event
 from ..messages.decoder import Decoder

@@ -23,7 +23,7 @@ from ..engine.engine_status import Status, WaitingStatus
 from ..engine.runtime.problem_reports import Reports
 from ..events.language.stream_parser import subscription_event
 from ..events.program.topic_configuration import TOPICS, Topics, read_topics, topic_type
-from ..explanation.event_explanations import explain, records_origins
+from ..explanation.event_and_output_explanations import explain, records_origins
 from ..foundation.displayed_text import printable, shorten
 from ..foundation.errors import ProgramErrors, RetalisError, SyntaxFault, UsageError
 from ..foundation.ros_name_checks import topic_fault

@@ -18,8 +18,13 @@ from typing import Callable, Dict, Iterator, List, NamedTuple, Optional, Sequenc
 from ..engine.engine import EVENT_FLAGS, Engine
 from ..events.knowledge.knowledge_base import MEMORY_EVENTS
 from ..events.program.topic_configuration import GOALS, RULES, TOPICS, TopicType, read_topics, topic_type
-from ..explanation.event_explanations import event_request, explain_briefly, record_origins
-from ..explanation.output_explanations import ExplainedOutput, explain_output_briefly
+from ..explanation.event_and_output_explanations import (
+    ExplainedOutput,
+    event_request,
+    explain_briefly,
+    explain_output_briefly,
+    record_origins,
+)
 from ..foundation.displayed_text import printable
 from ..foundation.errors import RetalisError, UsageError
 from ..foundation.ros_name_checks import strip_slashes

@@ -26,8 +26,11 @@ from typing import (
     Tuple,
 )
 
-from ..explanation.event_explanations import record_origins
-from ..explanation.output_explanations import ExplainedOutput, explain_output_briefly
+from ..explanation.event_and_output_explanations import (
+    ExplainedOutput,
+    explain_output_briefly,
+    record_origins,
+)
 from ..foundation.errors import SyntaxFault
 from ..node.subscribed_topics import HandlerFactory
 from ..playback.bag_locations import Bag
