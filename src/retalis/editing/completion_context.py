@@ -7,7 +7,7 @@ In a clause, the context consists of the brackets around the position and of the
 import re
 from typing import List, NamedTuple, Optional, Tuple
 
-from ..events.checks.memory_checks import MEMORY_READS
+from ..events.checks.memory_and_state_checks import MEMORY_READS
 from ..prolog.syntax.term_reader import OF_FILES
 from ..prolog.syntax.tokenizer import (
     END,

@@ -12,7 +12,7 @@ import re
 from enum import Enum
 from typing import Dict, Iterator, List, NamedTuple, Optional, Tuple
 
-from ..events.checks.memory_checks import MEMORY_READS
+from ..events.checks.memory_and_state_checks import MEMORY_READS
 from ..events.language.rule_heads import ALARMS, SYNCHRONIZED
 from ..events.program.topic_configuration import ATTRIBUTES, ELEMENT_SUFFIXES, PUBLISH
 from ..foundation.ros_name_checks import ros1_type_name

@@ -1,4 +1,4 @@
-"""Checks of times: instants in long chains of rules, missed pairs, spans, and throttles without key."""
+"""Checks of times: instants in long chains of rules, spans, and limits that no match satisfies."""
 
 from typing import Any, List, Optional
 
@@ -7,11 +7,8 @@ import pytest
 from retalis import Definitions, Engine, TopicType
 from retalis.events.checks.program_model import ProgramModel, RecordedTopic
 from retalis.events.checks.time_checks import (
-    find_conditions_after_throttle,
     find_impossible_pairs,
     find_likely_milliseconds,
-    find_missed_pairs,
-    find_throttles_without_key,
     find_unreachable_limits,
 )
 from retalis.events.program.topic_configuration import Topics
@@ -45,54 +42,6 @@ def test_event_of_two_rules_is_instant_if_both_are() -> None:
 def test_recursive_events_are_no_instants() -> None:
     assert len(messages_of(FIRST, "a <- b where true. b <- e0 where true. x <- a par b.")) == 1
     assert messages_of(FIRST, "a <- b where true. b <- a where true. x <- a par b.") == []
-
-
-PAIR = "near <- (std_msgs__0__String(_) and std_msgs__0__Bool(_)) within 0.1."
-TWO_TOPICS = Topics((TopicType("speech", "std_msgs/String"), TopicType("on", "std_msgs/Bool")))
-
-
-def missed(rules: Any, topics: Any = TWO_TOPICS) -> List[Any]:
-    engine = Engine()
-    engine.load(rules=rules)
-    return [
-        error.message
-        for error in find_missed_pairs(ProgramModel(engine.rules, engine.knowledge, Definitions(), topics))
-    ]
-
-
-def test_message_pairs_under_default_policy_are_named() -> None:
-    (message,) = missed(PAIR)
-    assert message.startswith("under the policy recent a message is used for one pair only")
-
-
-@pytest.mark.parametrize(
-    "rules",
-    [
-        f"{PAIR} :- set_etalis_flag(event_consumption_policy, unrestricted).",
-        f"l([property(policy, recent)]) : {PAIR}",
-        "near <- std_msgs__0__String(_) and std_msgs__0__Bool(_).",
-        "near <- (std_msgs__0__String(_) seq std_msgs__0__Bool(_)) within 0.1.",
-        "near <- (std_msgs__0__String(_) and spoken) within 0.1.",
-    ],
-    ids=["other policy", "intended", "no window", "seq", "no message"],
-)
-def test_other_pairs_are_not_named(rules: str) -> None:
-    assert missed(rules) == []
-
-
-@pytest.mark.parametrize(
-    ("pattern", "count"),
-    [
-        ("temp(M, T) with throttle(10, M) where T > 40", 1),
-        ("(temp(M, T) where T > 40) with throttle(10, M)", 0),
-        ("temp(M, T) with change(T, M) where T > 40", 0),
-    ],
-)
-def test_condition_after_throttle_is_reported(pattern: str, count: int) -> None:
-    engine = Engine()
-    engine.load(rules=f"hot(M) <- {pattern}.")
-    program = ProgramModel(engine.rules, engine.knowledge, Definitions(), TOPICS)
-    assert len(list(find_conditions_after_throttle(program))) == count
 
 
 def milliseconds(rules: Any, recorded: Any = ()) -> List[Any]:
@@ -154,47 +103,6 @@ def test_span_is_compared_with_the_rate_of_a_bag(
     messages = [error.message for error in find_likely_milliseconds(program)]
     assert len(messages) == count
     assert all(f"in the bag, a message of speech arrives every {period} s" in message for message in messages)
-
-
-def unkeyed(rules: str) -> List[Any]:
-    engine = Engine()
-    engine.load(rules=rules)
-    program = ProgramModel(engine.rules, engine.knowledge, Definitions(), TOPICS)
-    return [error.message for error in find_throttles_without_key(program)]
-
-
-@pytest.mark.parametrize(
-    ("pattern", "advice"),
-    [
-        ("temp(R, T) where T > 30 with throttle(10)", "write throttle(10, R)"),
-        ("temp(R, T) with throttle(2.5)", "write throttle(2.5, R)"),
-        ("(temp(R, T) where T > 30) with debounce(2)", "write debounce(2, R)"),
-        ("temp(R, T) with burst(2)", "write burst(2, R)"),
-    ],
-)
-def test_throttle_without_key_is_reported(pattern: str, advice: str) -> None:
-    (message,) = unkeyed(f"hot(R) <- {pattern}.")
-    assert message.endswith(advice)
-
-
-@pytest.mark.parametrize(
-    "rules",
-    [
-        "hot(R) <- temp(R, T) with throttle(10, R).",
-        "hot(R) <- temp(R, T) with throttle(10, T).",
-        "hot(R, T) <- temp(R, T) with throttle(10).",
-        "hot(T) <- temp(R, T) with throttle(10).",
-        "hot(T) <- temp(T) with throttle(10).",
-        "hot <- temp(R, T) with throttle(10).",
-        "hot(T) <- temp(T, R) where T > 30 with throttle(10).",
-        "hot(T) <- temp(T, R) with throttle(10). temp(3, E) <- b(E).",
-        "hot(R) <- temp(R, T) with change(T).",
-        "hot(R) <- (temp(R, T) seq door(T)) with throttle(10).",
-        "hot(R) <- temp(left, R) with throttle(10).",
-    ],
-)
-def test_throttle_that_needs_no_key_is_not_reported(rules: str) -> None:
-    assert unkeyed(rules) == []
 
 
 def unreachable_limits(rule: str) -> List[str]:

@@ -16,7 +16,12 @@ from .condition_checks import find_impossible_conditions
 from .event_cycle_checks import find_cycles
 from .event_flow_checks import find_declaration_violations, find_unconsumed_events, find_unproduced_events
 from .interval_event_window_checks import find_windows_of_long_events
-from .memory_checks import find_empty_memories, find_record_mismatches, find_unknown_memories
+from .memory_and_state_checks import (
+    find_empty_memories,
+    find_record_mismatches,
+    find_undeclared_states,
+    find_unknown_memories,
+)
 from .message_checks import (
     find_awaited_constants,
     find_called_services,
@@ -29,6 +34,7 @@ from .message_checks import (
     find_topic_mistakes,
     find_untyped_topics,
 )
+from .missed_match_checks import find_conditions_after_throttle, find_missed_pairs, find_throttles_without_key
 from .number_type_checks import find_inexact_decimals, find_number_type_mismatches
 from .predicate_checks import (
     find_duplicate_labels,
@@ -36,19 +42,15 @@ from .predicate_checks import (
     find_never_asserted,
     find_operators_in_clauses,
     find_redefined_builtins,
-    find_undeclared_states,
     find_undefined_predicates,
     find_unloaded_rule_file,
 )
 from .program_model import MAX_SOURCE_CHARACTERS, ProgramModel
 from .stale_table_checks import find_stale_tables
 from .time_checks import (
-    find_conditions_after_throttle,
     find_impossible_pairs,
     find_invalid_timers,
     find_likely_milliseconds,
-    find_missed_pairs,
-    find_throttles_without_key,
     find_unlikely_spans,
     find_unreachable_limits,
 )

@@ -13,7 +13,7 @@ from .abstract_environment import AbstractValue, Environment
 from .abstract_store import AbstractStore, clause_head, raised_event
 from .condition_checks import IS, NUMERIC_COMPARISONS
 from .created_event_values import CreatedEvents
-from .memory_checks import RECORD_READS
+from .memory_and_state_checks import RECORD_READS
 from .predicate_checks import ASSERTING_PREDICATES
 from .program_model import ProgramModel
 from .value_conflict_reports import ConflictReporter, place_in

@@ -1,4 +1,4 @@
-"""Checks of predicates, states and labels: undefined, redefined, unused or duplicate ones.
+"""Checks of predicates, rule files and labels: undefined, redefined, unused or duplicate ones.
 
 A program can define predicates at run time (``assert``, foreign libraries). `_DefinablePredicates` therefore collects
 everything that goals of the program could define; if that cannot be determined, no predicate is reported as
@@ -27,7 +27,6 @@ from ...prolog.terms.types import (
 )
 from ..language.called_predicates import calls
 from ..language.event_operators import OPERATOR_NAMES
-from ..language.state_parser import queried_state
 from ..program.topic_configuration import GOALS, RULES
 from .condition_checks import conjunctions_of
 from .program_model import NECK, FunctorSuggestions, ProgramModel, SourceRule, SourceTerm, Subterm
@@ -290,23 +289,6 @@ def _text_of(term: Term) -> str:
     if isinstance(term, Atom):
         return str(term.name)
     return str(term.text) if isinstance(term, String) else ""
-
-
-def find_undeclared_states(program: ProgramModel) -> Iterator[RuleError]:
-    """Yield states that goals query but nothing declares."""
-    declared_functors = [state.form.functor for state in program.states]
-    suggestions = FunctorSuggestions()
-    for subterm in program.calls():
-        key = queried_state(subterm.term)
-        if key is None or key in declared_functors or not program.logic.is_system_predicate(subterm.term[0]):
-            continue
-        suggestion = suggestions.suggest(key, declared_functors)
-        hint = (
-            f"; did you mean {suggestion}?"
-            if suggestion
-            else ": state(S, from(Event), until(Event)) declares one"
-        )
-        yield RuleError(f"there is no state {key}{hint}", subterm.place)
 
 
 def find_duplicate_labels(program: ProgramModel) -> Iterator[RuleError]:

@@ -17,7 +17,7 @@ from ...prolog.terms.types import COMMA, CONS, SLASH, Atom, Functor, Term, deref
 from ..knowledge.transform_predicates import TRANSFORM_PREDICATES
 from ..language.called_predicates import calls
 from ..language.state_parser import HOLDS, queried_state
-from .memory_checks import MEMORY_READS, POSE_CHAIN
+from .memory_and_state_checks import MEMORY_READS, POSE_CHAIN
 from .predicate_checks import ASSERTING_PREDICATES, RETRACTING_PREDICATES, key_of_clause
 from .program_model import ProgramModel, Subterm, subterms, wrap_term
 

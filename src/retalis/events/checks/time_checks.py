@@ -1,4 +1,4 @@
-"""Checks of times: intervals that cannot meet, spans and windows, rate operators, missed pairs, and timers.
+"""Checks of times: intervals that cannot meet, spans of time, limits that no match can satisfy, and timers.
 
 `find_impossible_pairs` computes which events are always instants (messages, and heads of rules on single instants),
 and evaluates the comparisons of each operator for a small set of intervals that represents all possible orders.
@@ -11,8 +11,8 @@ from typing import Any, Dict, Iterator, List, NamedTuple, Optional, Sequence, Se
 from ...foundation.displayed_text import format_duration, format_number
 from ...foundation.errors import RuleError
 from ...foundation.ros_name_checks import strip_slashes
-from ...prolog.terms.term_traversal import term_key, variables
-from ...prolog.terms.types import Atom, Functor, Var, atom, deref, functor, functor_of
+from ...prolog.terms.term_traversal import term_key
+from ...prolog.terms.types import Atom, Functor, deref, functor, functor_of
 from ..language.event_operators import OPERATOR_NAMES, PAIR_OPERATORS
 from ..language.pattern_tree import (
     AbsencePattern,
@@ -33,15 +33,11 @@ from ..language.pattern_tree import (
 from ..language.rule_heads import event_raised_by
 from ..language.timer_schedules import TIMER, schedule_error
 from ..streams.rate_operators import RATE_OPERATORS
-from .condition_checks import IS, NUMERIC_COMPARISONS
 from .program_model import ProgramModel, SourceRule, Subterm, operator_place, subterms, wrap_term
-from .value_flow import ValueFlow
-from .value_kinds import NUMBER
 
 SECONDS_PER_DAY = 86_400
 _UNIT_HINT = "spans are in seconds"
 _NEW_EVENT_INTERVAL = functor("new_event", 3)
-_RECENT = atom("recent")
 
 
 _SAMPLE_INSTANTS = [(instant, instant) for instant in range(3)]
@@ -131,13 +127,13 @@ class _InstantEvents:
 
     def is_instant(self, pattern: Pattern) -> bool:
         """Return whether each match of a pattern is an instant."""
-        events = _alternative_events(pattern)
+        events = alternative_events(pattern)
         return events is not None and all(
-            key in self._instant_functors or self._is_message(key) for key in events
+            key in self._instant_functors or self.is_message(key) for key in events
         )
 
-    def _is_message(self, key: Functor) -> bool:
-        return key not in self._rules_by_event and _is_message(self._program, key)
+    def is_message(self, key: Functor) -> bool:
+        return key not in self._rules_by_event and is_message(self._program, key)
 
     def _find_instant_heads(self) -> Set[Functor]:
         """Return the functors of heads that are always instants, also through chains of rules."""
@@ -151,7 +147,7 @@ class _InstantEvents:
             )
             if required is not None:
                 missing_instants[key] = {
-                    required_key for required_key in required if not self._is_message(required_key)
+                    required_key for required_key in required if not self.is_message(required_key)
                 }
                 for required_key in missing_instants[key]:
                     dependents.setdefault(required_key, []).append(key)
@@ -168,7 +164,7 @@ class _InstantEvents:
         return instants
 
 
-def _is_message(program: ProgramModel, key: Functor) -> bool:
+def is_message(program: ProgramModel, key: Functor) -> bool:
     """Return whether events of a functor are messages of a subscribed topic."""
     type_name = program.type_of(key.name)
     topics = (*program.topics.subscribed, *program.directly_subscribed)
@@ -180,16 +176,14 @@ def _events_that_must_be_instants(rules: List[SourceRule]) -> Optional[Set[Funct
     required: Set[Functor] = set()
     for rule in rules:
         head: Any = rule.definition.head
-        events = (
-            _alternative_events(rule.definition.pattern) if event_raised_by(head) is deref(head) else None
-        )
+        events = alternative_events(rule.definition.pattern) if event_raised_by(head) is deref(head) else None
         if events is None:
             return None
         required.update(events)
     return required
 
 
-def _alternative_events(pattern: Pattern) -> Optional[Set[Functor]]:
+def alternative_events(pattern: Pattern) -> Optional[Set[Functor]]:
     """Return the functors of the events that each match a pattern alone.
 
     Returns:
@@ -256,12 +250,12 @@ class _SpanNotation(NamedTuple):
     parents: Tuple[str, ...]
 
 
-_TIMED_OPERATORS = tuple(name for name, operator in RATE_OPERATORS.items() if operator.takes_seconds)
+TIMED_OPERATORS = tuple(name for name, operator in RATE_OPERATORS.items() if operator.takes_seconds)
 """Names of the rate operators whose first argument is a number of seconds."""
 
 _SPANS = {
     **dict.fromkeys(("within", "absent", "exceptionAlarm"), _SpanNotation(2, ())),
-    **dict.fromkeys(_TIMED_OPERATORS, _SpanNotation(1, ("with",))),
+    **dict.fromkeys(TIMED_OPERATORS, _SpanNotation(1, ("with",))),
     **dict.fromkeys(
         ("last", "every", "first"), _SpanNotation(1, ("aggregate", "last", "running", "held", "timer"))
     ),
@@ -377,73 +371,6 @@ def _periods_by_message(program: ProgramModel) -> Dict[Functor, _RecordedPeriod]
     return periods
 
 
-def find_throttles_without_key(program: ProgramModel) -> Iterator[RuleError]:
-    """Yield ``throttle`` and similar operators without a key for events that seem to have one.
-
-    A key is the first argument of an event with several ones, is passed on to the head, and is not used as a number.
-    """
-    for rule in program.rules:
-        head = event_raised_by(rule.definition.head)
-        head_vars = set() if head is None else set(variables(head))
-        for node in walk(rule.definition.pattern, negated=True):
-            if isinstance(node, RatePattern) and node.operator in _TIMED_OPERATORS and not node.keys:
-                key_variable = _key_variable(program, rule, node.pattern, head_vars)
-                if key_variable is not None:
-                    name = program.names_in(rule).get(key_variable, "Key")
-                    notation = f"{node.operator}({format_number(node.span / 10**9)}"
-                    yield RuleError(
-                        f"{notation}) has one state for all values of {name}, so that an event of one suppresses "
-                        f"those of others; unless this is intended, write {notation}, {name})",
-                        operator_place(rule, "with"),
-                    )
-
-
-def _key_variable(
-    program: ProgramModel, rule: SourceRule, pattern: Pattern, head_vars: Set[Var]
-) -> Optional[Var]:
-    """Return the variable that distinguishes the sources of the event of a pattern, or None."""
-    events = [node.term for node in walk(pattern) if isinstance(node, EventPattern)]
-    if len(events) != 1 or events[0].__class__ is not tuple or program.message_of(events[0]) is not None:
-        return None
-    event: Any = events[0]
-    first, others = deref(event[1]), [deref(argument) for argument in event[2:]]
-    if first.__class__ is not Var or first not in head_vars or not others:
-        return None
-    numeric = _variables_used_as_numbers(rule)
-    kinds = program.derive(ValueFlow).kinds_of_event(event[0])
-    first_kinds = kinds[0] if kinds else None
-    if first in numeric or (first_kinds and NUMBER in first_kinds):
-        return None
-    # A key has a measured value beside it, which is compared or not passed on to the head.
-    is_measured = any(
-        other.__class__ is Var and (other in numeric or other not in head_vars) for other in others
-    )
-    return first if is_measured else None
-
-
-def _variables_used_as_numbers(rule: SourceRule) -> Set[Var]:
-    """Return the variables of comparisons and arithmetic in a rule."""
-    return {
-        var
-        for subterm in subterms(wrap_term(rule.definition.term), 1, rule.place_of)
-        if subterm.term.__class__ is tuple and (subterm.key in NUMERIC_COMPARISONS or subterm.key is IS)
-        for var in variables(subterm.term)
-    }
-
-
-def find_conditions_after_throttle(program: ProgramModel) -> Iterator[RuleError]:
-    """Yield conditions on the output of ``throttle``: a match that fails them has suppressed others."""
-    for rule in program.rules:
-        for node in walk(rule.definition.pattern, negated=True):
-            limited = node.pattern if isinstance(node, ConditionPattern) else None
-            if isinstance(limited, RatePattern) and limited.operator == "throttle":
-                yield RuleError(
-                    "throttle is applied before the condition: a match that fails the condition suppresses later "
-                    "ones that satisfy it; write (Pattern where Goal) with throttle(...), unless this is intended",
-                    operator_place(rule, "with"),
-                )
-
-
 def find_unreachable_limits(program: ProgramModel) -> Iterator[RuleError]:
     """Yield limits of the interval of a match that no match satisfies, because each one takes longer."""
     properties = program.rule_base.all_properties()
@@ -507,43 +434,6 @@ def _shortest_interval(node: Pattern, lengths: Sequence[int]) -> int:
     if isinstance(node, RatePattern) and RATE_OPERATORS[node.operator].is_delayed:
         return length + node.span
     return length
-
-
-def find_missed_pairs(program: ProgramModel) -> Iterator[RuleError]:
-    """Yield joins of messages within a span of time that miss pairs, because the default policy uses a message once.
-
-    A rule whose label sets a policy is not reported: its policy is intended.
-    """
-    if program.rule_base.flags.get("event_consumption_policy") is not _RECENT:
-        return
-    properties = program.rule_base.all_properties()
-    for rule in program.rules:
-        label = rule.definition.label
-        label_properties = () if label is None else properties.get(term_key(label), ())
-        if not any(prop.name == "policy" for prop in label_properties) and _pairs_messages(
-            program, rule.definition.pattern
-        ):
-            yield RuleError(
-                "under the policy recent a message is used for one pair only, so messages of topics with different "
-                "rates miss partners within the time; for all pairs give the rule a label with "
-                "property(policy, unrestricted), or property(policy, recent) if this is intended",
-                operator_place(rule, "and"),
-            )
-
-
-def _pairs_messages(program: ProgramModel, pattern: Pattern) -> bool:
-    """Return whether a pattern joins messages of two topics by ``and`` within a span of time."""
-    for node in walk(pattern, negated=True):
-        if not isinstance(node, WithinPattern):
-            continue
-        joined = node.pattern
-        while isinstance(joined, (WithinPattern, ConditionPattern)):
-            joined = joined.pattern
-        if isinstance(joined, PairPattern) and joined.operator == "and":
-            sides = [_alternative_events(joined.left), _alternative_events(joined.right)]
-            if all(keys and all(_is_message(program, key) for key in keys) for keys in sides):
-                return True
-    return False
 
 
 def find_invalid_timers(program: ProgramModel) -> Iterator[RuleError]:

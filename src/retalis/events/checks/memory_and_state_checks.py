@@ -1,4 +1,4 @@
-"""Checks of memories: unknown names, wrong records, and memories without records."""
+"""Checks of memories and states: unknown names, wrong records, and memories without records."""
 
 from typing import Any, Dict, Iterator, List, Optional, Set
 
@@ -9,7 +9,8 @@ from ...prolog.terms.term_traversal import variables
 from ...prolog.terms.types import Atom, Term, Var, deref, functor
 from ...prolog.terms.unification import may_unify
 from ..language.rule_heads import SYNCHRONIZED
-from .program_model import ProgramModel, Subterm
+from ..language.state_parser import queried_state
+from .program_model import FunctorSuggestions, ProgramModel, Subterm
 
 MEMORY_READS = frozenset(
     functor(name, arity)
@@ -51,6 +52,23 @@ def find_unknown_memories(program: ProgramModel) -> Iterator[RuleError]:
                     f"there is no memory {name.name} yet{did_you_mean(name.name, known_names, 0.6)}",
                     subterm.place,
                 )
+
+
+def find_undeclared_states(program: ProgramModel) -> Iterator[RuleError]:
+    """Yield states that goals query but nothing declares."""
+    declared_functors = [state.form.functor for state in program.states]
+    suggestions = FunctorSuggestions()
+    for subterm in program.calls():
+        key = queried_state(subterm.term)
+        if key is None or key in declared_functors or not program.logic.is_system_predicate(subterm.term[0]):
+            continue
+        suggestion = suggestions.suggest(key, declared_functors)
+        hint = (
+            f"; did you mean {suggestion}?"
+            if suggestion
+            else ": state(S, from(Event), until(Event)) declares one"
+        )
+        yield RuleError(f"there is no state {key}{hint}", subterm.place)
 
 
 def find_record_mismatches(program: ProgramModel) -> Iterator[RuleError]:
