@@ -265,6 +265,10 @@ CASES: Dict[str, Case] = {
     r"[a-z]\w*\Z": Case(
         "match", "a name with a blank at its end: its characters once more", ("", "a"), ("a", "_")
     ),
+    # field_types.py
+    r"<[\w.]+ object at 0x[0-9a-f]+>": Case(
+        "sub", "one run after each <", ("", "<"), ("a", ".", "<a", "<a object at 0x1")
+    ),
     # codegen.py, rosnames.py
     r"[A-Za-z_][A-Za-z0-9_]{0,30}\Z": Case("match", "31 characters", ("",), ("a", "_", "1")),
     r"[A-Za-z][A-Za-z0-9_]*": Case("match", "one run", ("", "a"), ("a", "_", "1")),

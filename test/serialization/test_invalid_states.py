@@ -8,8 +8,10 @@ import pytest
 from serialization.field_dictionaries import fields_of, to_fields
 
 from retalis import Engine, StreamClock, UsageError, atom, functor, make_list
+from retalis.events.matches.match_types import PartialMatch
 from retalis.prolog.terms.timestamps import MAX_TIMESTAMP, SECOND, FloatSeconds, Stamp
 from retalis.serialization.codec import Ref, from_bytes, to_bytes
+from retalis.serialization.field_types import invalid_value
 from retalis.serialization.state_file_format import pack_sections, unpack_sections
 
 RULES = """
@@ -540,3 +542,9 @@ def test_output_without_elements_is_refused() -> None:
     outputs = [*NODES, 1, 1, "replay", "stored_outputs", 1]
     assert_refused(state, [*outputs, "elements", 0], [], "elements: item 0: '.*': expected at least 1 items")
     assert_refused(state, outputs, [], "expected the fields elements, start")
+
+
+def test_object_in_place_of_value_is_named_in_words() -> None:
+    match = PartialMatch((), 0, 0, 1, atom("a"), None)
+    error = invalid_value([match, (match, 2)], "an atom")
+    assert error.message == "'[partial match, (partial match, 2)]': expected an atom"

@@ -8,6 +8,7 @@ faster than one by one.
 
 from __future__ import annotations
 
+import re
 from math import isfinite
 from struct import error as StructError
 from struct import pack, unpack
@@ -77,6 +78,8 @@ class FlatKey(tuple):  # type: ignore[type-arg]
 
 
 _SEQUENCES = (list, tuple)
+_OBJECT = re.compile(r"<[\w.]+ object at 0x[0-9a-f]+>")
+"""Python's representation of an object whose class has none of its own."""
 _INSTANTS: FrozenSet[type] = frozenset((int, FloatSeconds, Stamp))
 _KEYS: FrozenSet[type] = frozenset((int, Atom, String, Functor))
 
@@ -84,10 +87,16 @@ _KEYS: FrozenSet[type] = frozenset((int, Atom, String, Functor))
 def invalid_value(value: object, expected: str) -> UsageError:
     """Return the error for an invalid value."""
     try:
-        text_of_value = value if isinstance(value, str) else repr(value)
+        text_of_value = value if isinstance(value, str) else _OBJECT.sub(_class_in_words, repr(value))
     except (ValueError, RecursionError):  # an integer with too many digits, or a deeply nested sequence
         text_of_value = type(value).__name__
     return UsageError(f"'{text_of_value[:80]}': expected {expected}")
+
+
+def _class_in_words(match: re.Match[str]) -> str:
+    """Return "partial match" for an object of class ``PartialMatch``, whose address says nothing to a user."""
+    class_name = match[0].partition(" ")[0].rpartition(".")[2]
+    return "".join(f" {letter.lower()}" if letter.isupper() else letter for letter in class_name).strip()
 
 
 def items_of(value: object) -> Sequence[object]:
