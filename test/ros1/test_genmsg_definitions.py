@@ -54,24 +54,28 @@ def test_definition_is_read_as_by_genmsg(text: str) -> None:
     assert "\n".join(lines).strip() == checksum_text
 
 
+NO_FIELD = "1:1: expected 'type name' or 'type NAME=value', found "
+
+
 @pytest.mark.parametrize(
-    "text",
+    ("text", "error"),
     [
-        "int32 x 5",
-        "string<=5 x",
-        "int32[<=3] x",
-        "uint8[-3] x",
-        "uint8[0x3] x",
-        "int32 x\nint32 x",
-        "int32 _x",
-        "@optional\nint32 x",
+        ("int32 x 5", NO_FIELD),
+        ("string<=5 x", NO_FIELD),
+        ("int32[<=3] x", NO_FIELD),
+        ("uint8[-3] x", NO_FIELD),
+        ("uint8[0x3] x", NO_FIELD),
+        ("int32 x\nint32 x", "2:7: x is defined twice"),
+        ("int32 _x", "1:7: expected a name of ASCII letters, "),
+        ("@optional\nint32 x", NO_FIELD),
     ],
 )
-def test_definition_is_rejected_as_by_genmsg(text: str) -> None:
+def test_definition_is_rejected_as_by_genmsg(text: str, error: str) -> None:
     with pytest.raises(genmsg.InvalidMsgSpec):
         read_by_genmsg(text)
-    with pytest.raises(MessageError):
+    with pytest.raises(MessageError) as raised:
         read(text)
+    assert str(raised.value).startswith(f"pkg/Type:{error}")
 
 
 @pytest.mark.parametrize(
