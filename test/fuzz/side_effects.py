@@ -9,7 +9,8 @@ import sysconfig
 import time
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, Iterator, List
+from types import FrameType, TracebackType
+from typing import Any, Iterator, List, Optional, Tuple, Union
 
 MAX_CPU_SECONDS = 1.0
 """Maximum CPU time of an input."""
@@ -67,7 +68,7 @@ class FindingError(Exception):
         place: the place in the package; inputs with the same place are one finding.
     """
 
-    def __init__(self, category: Any, detail: Any, place: str = "") -> None:
+    def __init__(self, category: str, detail: str, place: str = "") -> None:
         super().__init__(category, detail, place)
         self.category = category
         self.detail = detail
@@ -86,10 +87,10 @@ class Watch:
 
     def __init__(
         self,
-        scratch: Any,
+        scratch: Union[str, Path],
         reads: bool = False,
-        seconds: Any = MAX_CPU_SECONDS,
-        growth: Any = MAX_GROWTH_BYTES,
+        seconds: float = MAX_CPU_SECONDS,
+        growth: int = MAX_GROWTH_BYTES,
     ) -> None:
         self._scratch = str(scratch)
         self._reads = reads
@@ -100,14 +101,24 @@ class Watch:
         self._before = self._peak = 0
         self._statm = os.open("/proc/self/statm", os.O_RDONLY)
         self.mark = ""
-        self.actions: List[Any] = []
+        self.actions: List[Tuple[str, str]] = []
+        """Forbidden acts of the input, each with its place."""
         self.slowest = 0.0
 
-    def install(self) -> None:
-        """Start the checks; an audit hook remains for the life of the process."""
+    @contextmanager
+    def installed(self) -> Iterator[None]:
+        """Check inputs within the context; an audit hook, which then does nothing, remains in the process."""
         sys.addaudithook(self._audit)
-        signal.signal(signal.SIGPROF, self._check_usage)
+        handler = signal.signal(signal.SIGPROF, self._check_usage)
+        timer = signal.getitimer(signal.ITIMER_PROF)
         self.start_timer()
+        try:
+            yield
+        finally:
+            # First the timer: the default handler of its signal ends the process.
+            signal.setitimer(signal.ITIMER_PROF, 0)
+            signal.signal(signal.SIGPROF, handler)
+            signal.setitimer(signal.ITIMER_PROF, *timer)
 
     def start_timer(self) -> None:
         """Check the input periodically; a forked process needs its own timer."""
@@ -152,7 +163,7 @@ class Watch:
         """Return the size of the resident memory in bytes."""
         return int(os.pread(self._statm, 100, 0).split()[1]) * _PAGE
 
-    def _check_usage(self, number: Any, frame: Any) -> None:
+    def _check_usage(self, number: int, frame: Optional[FrameType]) -> None:
         if not self._armed:
             return
         cpu_seconds = time.process_time() - self._start
@@ -165,7 +176,7 @@ class Watch:
             self._armed = False
             raise UsageExceeded("growth", f"{growth >> 20} MB", place(frame))
 
-    def _audit(self, event: str, arguments: Any) -> None:
+    def _audit(self, event: str, arguments: Tuple[Any, ...]) -> None:
         if not self._armed or event in ALLOWED_EVENTS:
             return
         if event in ("exec", "compile"):
@@ -183,31 +194,31 @@ class Watch:
             self.actions.append((f"{event} {_brief(arguments)}", place(sys._getframe(1))))
             raise ForbiddenActError(f"{event} {_brief(arguments)}")
 
-    def _may_run(self, event: Any, arguments: Any) -> Any:
+    def _may_run(self, event: str, arguments: Tuple[Any, ...]) -> bool:
         module = sys._getframe(2).f_globals.get("__name__", "")
         if self.mark and event == "compile" and self.mark in str(arguments[0]):
             return False
         return module in CODE_MAKERS or (event == "compile" and module in PARSERS)
 
-    def _may_connect(self, name: Any) -> Any:
+    def _may_connect(self, name: Union[str, bytes]) -> bool:
         """Return whether a database may be opened: one in memory, or a file of the input that is only read."""
         name = os.fsdecode(name)  # Python 3.8 passes bytes
         own = name.startswith(f"file://{self._scratch}/")
         return name == ":memory:" or (own and name.partition("?")[2].split("&")[0] == "mode=ro")
 
-    def _may_open(self, path: Any, mode: Any, flags: Any) -> Any:
+    def _may_open(self, path: object, mode: Optional[str], flags: Optional[int]) -> bool:
         if (mode and set(mode) & set("wax+")) or (flags or 0) & (os.O_WRONLY | os.O_RDWR | os.O_CREAT):
             return False
-        path = os.fsdecode(path) if isinstance(path, (bytes, os.PathLike)) else str(path)
-        path = os.path.normpath(os.path.join(self._scratch, path))
+        name = os.fsdecode(path) if isinstance(path, (bytes, os.PathLike)) else str(path)
+        name = os.path.normpath(os.path.join(self._scratch, name))
         return (
             self._reads
-            or path.startswith((f"{self._scratch}/", *_READABLE))
-            or _DEFINITION.fullmatch(path) is not None
+            or name.startswith((f"{self._scratch}/", *_READABLE))
+            or _DEFINITION.fullmatch(name) is not None
         )
 
 
-def place(frame: Any) -> str:
+def place(frame: Optional[FrameType]) -> str:
     """Return the innermost place in the package of a frame or a traceback's frames."""
     while frame is not None:
         location = _place(frame.f_code.co_filename, frame.f_lineno, frame.f_code.co_name)
@@ -217,7 +228,7 @@ def place(frame: Any) -> str:
     return "outside the package"
 
 
-def raised_at(trace: Any) -> str:
+def raised_at(trace: Optional[TracebackType]) -> str:
     """Return the innermost place in the package at which an exception was raised."""
     location = ""
     while trace is not None:
@@ -227,7 +238,7 @@ def raised_at(trace: Any) -> str:
     return location or "outside the package"
 
 
-def _place(path: Any, line: Any, function: Any) -> str:
+def _place(path: str, line: Optional[int], function: str) -> str:
     if path.startswith(f"{_SOURCES}/"):
         return f"{path[len(str(_SOURCES)) + 1 :]}:{line or 0} {function}"
     return ""
@@ -237,5 +248,5 @@ def _peak() -> int:
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss << 10
 
 
-def _brief(arguments: Any) -> str:
+def _brief(arguments: Tuple[Any, ...]) -> str:
     return repr(arguments)[:300]

@@ -1,5 +1,6 @@
 """Detection of acts that an input must not perform; documented acts are allowed."""
 
+import signal
 from pathlib import Path
 from typing import Dict, Tuple
 
@@ -9,6 +10,7 @@ from fuzz import campaign as campaign_module
 from fuzz.campaign import Campaign
 from fuzz.kinds.planted_findings import ACTS
 from fuzz.known_findings import reason
+from fuzz.side_effects import Watch
 
 
 @pytest.fixture(scope="module")
@@ -104,3 +106,11 @@ def test_number_determines_input() -> None:
 )
 def test_other_findings_are_not_known(kind: str, category: str, place: str) -> None:
     assert not reason(kind, category, place)
+
+
+def test_signal_handler_and_timer_are_restored(tmp_path: Path) -> None:
+    handler, timer = signal.getsignal(signal.SIGPROF), signal.getitimer(signal.ITIMER_PROF)
+    with Watch(tmp_path).installed():
+        assert signal.getitimer(signal.ITIMER_PROF) != timer
+    assert signal.getsignal(signal.SIGPROF) == handler
+    assert signal.getitimer(signal.ITIMER_PROF) == timer

@@ -66,7 +66,7 @@ class Worker:
         self.report_counts: Dict[Any, Any] = {}
 
     def warm_up(self) -> None:
-        """Process some inputs of the corpus, then start to check side effects."""
+        """Process some inputs of the corpus without a check of side effects."""
         self.kind.reset()
         for data in self.kind.corpus[:MAX_WARM_UP_INPUTS] if self.kind.may_warm_up else ():
             self.kind.prepare(data)
@@ -77,7 +77,6 @@ class Worker:
         self.kind.accepted_count = self.kind.refused_count = 0
         gc.collect()
         gc.freeze()
-        self.watch.install()
 
     def get_input(self, number: Any) -> Any:
         """Return the input with a number; the first ones are those of the corpus."""
@@ -241,13 +240,14 @@ def main(argv: Any) -> None:
 
     worker = Worker(name, seed, scratch, report, progress)
     worker.warm_up()
-    if argv[3] == "file":
-        worker.begin_block(0)
-        worker.process(0, Path(argv[4]).read_bytes())
-    else:
-        first, count, seconds = int(argv[3]), int(argv[4]), float(argv[5])
-        until = time.monotonic() + seconds if seconds else None
-        worker.run(range(first, first + count), until)
+    with worker.watch.installed():
+        if argv[3] == "file":
+            worker.begin_block(0)
+            worker.process(0, Path(argv[4]).read_bytes())
+        else:
+            first, count, seconds = int(argv[3]), int(argv[4]), float(argv[5])
+            until = time.monotonic() + seconds if seconds else None
+            worker.run(range(first, first + count), until)
     watch, kind = worker.watch, worker.kind
     report(
         {
