@@ -73,18 +73,7 @@ def create_tasks(
         UsageError: if two results would have the same name, or a result exists already.
     """
     result_format = select_format(options)
-    # The processes of a cluster may have other working directories.
-    absolute = os.path.abspath if options.scheduler else str
-
-    def shared_path(path_or_url: str) -> str:
-        return path_or_url if is_url(path_or_url) else absolute(path_or_url)
-
-    bag_options = single_bag_options(options)
-    bag_options["program"] = Path(absolute(options.program))
-    bag_options["msg"] = [Path(absolute(folder)) for folder in options.msg]
-    if options.answers is not None:
-        bag_options["answers"] = Path(absolute(options.answers))
-    bag_options["folder"] = [absolute(folder_name) for folder_name in options.folder]
+    bag_options = _shared_bag_options(options)
     inputs: Dict[str, str] = {}
     if result_format is not None:
         other_options = (result_format, options.parts, options.robot, options.partition)
@@ -95,44 +84,68 @@ def create_tasks(
     for bags in recordings:
         ready.append(len(tasks))
         for position, bag in enumerate(bags):
-            labels: Dict[str, Optional[str]] = {"bag": bag.location}
             robot = None if options.robot is None else find_robot(options.robot, bag.location)
-            # Data tools take a partition from the folder, and some refuse a column of the same name. The recordings
-            # can be in such folders, too.
-            if "robot" not in options.partition and "/robot=" not in f"/{bag.name}":
-                labels["robot"] = robot
-            location, manifest = shared_path(bag.location), None
-            if result_format is None:
-                # Printed output is collected in temporary files, so that it can be printed in the order of the
-                # bags.
-                target = ResultTarget(os.path.join(scratch, str(len(tasks))))
-            else:
-                folder, name = shared_path(options.output.rstrip("/")), f"{bag.name}.{result_format}"
-                target = make_target(folder, name, options.partition, robot)
-                # If parts are added or deleted, the others continue from another state, or have another end.
-                position_text = f"{position} of {len(bags)}"
-                # The bags of two robots can have the same name. The day is not known yet.
-                keys = [key for key in options.partition if key != "day"]
-                place = make_target(f"{folder}/{MANIFEST_FOLDER}", f"{name}.json", keys, robot).head
-                bag_inputs = {**inputs, "position": position_text}
-                if result_format in TABLE_TYPES:
-                    bag_inputs["labels"] = json.dumps(labels)
-                manifest = ResultManifest(place, location, target, bag_inputs)
-                _check_target(manifest, bag, bags_by_target, options.overwrite or options.resume)
-                bags_by_target[target] = bag.location
-            has_next_part = bag is not bags[-1]
-            tasks.append(
-                BagTask(
-                    location,
-                    target,
-                    result_format,
-                    bag_options,
-                    has_next_part,
-                    manifest=manifest,
-                    labels=labels,
-                )
+            task = BagTask(
+                location=_shared_path(options, bag.location),
+                # Printed output is collected in temporary files, so that it can be printed in the order of the bags.
+                target=ResultTarget(os.path.join(scratch, str(len(tasks)))),
+                format=result_format,
+                options=bag_options,
+                has_next_part=bag is not bags[-1],
+                labels=_row_labels(options, bag, robot),
             )
+            if result_format is not None:
+                # If parts are added or deleted, the others continue from another state, or have another end.
+                part_inputs = {**inputs, "position": f"{position} of {len(bags)}"}
+                manifest = _create_manifest(task, options, bag, robot, part_inputs)
+                _check_target(manifest, bag, bags_by_target, options.overwrite or options.resume)
+                bags_by_target[manifest.target] = bag.location
+                task = task._replace(target=manifest.target, manifest=manifest)
+            tasks.append(task)
     return tasks, ready
+
+
+def _shared_path(options: argparse.Namespace, path_or_url: str) -> str:
+    """Return a path that is valid in all processes: those of a cluster may have other working directories."""
+    return os.path.abspath(path_or_url) if options.scheduler and not is_url(path_or_url) else path_or_url
+
+
+def _shared_bag_options(options: argparse.Namespace) -> Dict[str, Any]:
+    """Return the options for a single bag, with paths that are valid in all processes."""
+    absolute = os.path.abspath if options.scheduler else str
+    bag_options = single_bag_options(options)
+    bag_options["program"] = Path(absolute(options.program))
+    bag_options["msg"] = [Path(absolute(folder)) for folder in options.msg]
+    if options.answers is not None:
+        bag_options["answers"] = Path(absolute(options.answers))
+    bag_options["folder"] = [absolute(folder_name) for folder_name in options.folder]
+    return bag_options
+
+
+def _row_labels(
+    options: argparse.Namespace, bag: BagLocation, robot: Optional[str]
+) -> Dict[str, Optional[str]]:
+    """Return the values of the columns that all rows of a bag's table share."""
+    labels: Dict[str, Optional[str]] = {"bag": bag.location}
+    # Data tools take a partition from the folder, and some refuse a column of the same name. The recordings can be in
+    # such folders, too.
+    if "robot" not in options.partition and "/robot=" not in f"/{bag.name}":
+        labels["robot"] = robot
+    return labels
+
+
+def _create_manifest(
+    task: BagTask, options: argparse.Namespace, bag: BagLocation, robot: Optional[str], inputs: Dict[str, str]
+) -> ResultManifest:
+    """Return the manifest of a task's result, with the location of the result."""
+    folder, name = _shared_path(options, options.output.rstrip("/")), f"{bag.name}.{task.format}"
+    target = make_target(folder, name, options.partition, robot)
+    # The bags of two robots can have the same name. The day is not known yet.
+    keys = [key for key in options.partition if key != "day"]
+    place = make_target(f"{folder}/{MANIFEST_FOLDER}", f"{name}.json", keys, robot).head
+    if task.format in TABLE_TYPES:
+        inputs = {**inputs, "labels": json.dumps(task.labels)}
+    return ResultManifest(place, task.location, target, inputs)
 
 
 def _check_target(
