@@ -22,7 +22,7 @@ WITHOUT_EXAMPLE = {
     "src/retalis/prolog/builtins/__init__.py",
     "src/retalis/prolog/library/",
     "test/prolog/builtins",
-    "src/retalis/serialization/field_types.py",
+    "src/retalis/serialization/stored_field_types.py",
     "src/retalis/serialization/state_file_format.py",
 }
 """Files that define the mechanism, or folders with further files."""

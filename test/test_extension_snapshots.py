@@ -11,9 +11,9 @@ from retalis.events.matches.match_types import MATCH_REFERENCE
 from retalis.events.network.pattern_nodes import FilterNode
 from retalis.events.streams import aggregates, rate_operators
 from retalis.serialization.codec import from_bytes, to_bytes
-from retalis.serialization.field_types import optional
 from retalis.serialization.state_fields import StateFields, constraint, field
 from retalis.serialization.state_file_format import pack_sections, unpack_sections
+from retalis.serialization.stored_field_types import optional
 
 
 def add_entries(section: str, module: ModuleType, opening: str, closing: str) -> Any:

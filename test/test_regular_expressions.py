@@ -265,7 +265,7 @@ CASES: Dict[str, Case] = {
     r"[a-z]\w*\Z": Case(
         "match", "a name with a blank at its end: its characters once more", ("", "a"), ("a", "_")
     ),
-    # field_types.py
+    # stored_field_types.py
     r"<[\w.]+ object at 0x[0-9a-f]+>": Case(
         "sub", "one run after each <", ("", "<"), ("a", ".", "<a", "<a object at 0x1")
     ),

@@ -13,7 +13,7 @@ from zlib import crc32
 
 import pytest
 from asserting_accessors import required
-from search_rounds import search_rounds
+from nightly_round_numbers import round_numbers
 from serialization.field_dictionaries import fields_of, to_fields
 from subprocess_python_path import python_path
 
@@ -122,7 +122,7 @@ def test_checkpoint_writes_only_changes(folder: Path) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", search_rounds(2, 6))
+@pytest.mark.parametrize("seed", round_numbers(2, 6))
 def test_random_changes_are_restored(folder: Path, seed: int) -> None:
     generator = random.Random(seed)
     engine = start_engine(folder)

@@ -6,8 +6,8 @@ from typing import Any, Dict, List
 
 import pytest
 from asserting_accessors import stream_clock
+from nightly_round_numbers import round_numbers
 from recording_reports import RecordingReports
-from search_rounds import search_rounds
 
 from retalis import Engine, StreamClock
 from retalis.prolog.terms.timestamps import SECOND, from_seconds
@@ -307,7 +307,7 @@ changed(N) <- aggregate(count, tick, N, every(3)) with throttle(2).
 
 
 @pytest.mark.parametrize("has_receipt_clock", [False, True])
-@pytest.mark.parametrize("seed", search_rounds(3, 60))
+@pytest.mark.parametrize("seed", round_numbers(3, 60))
 def test_restored_engine_has_same_outputs(seed: int, has_receipt_clock: bool) -> None:
     random = Random(seed)
     clock, restored_clock = (StreamClock(1), StreamClock(1)) if has_receipt_clock else (None, None)

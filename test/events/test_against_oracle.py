@@ -16,7 +16,7 @@ from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 from oracle.combination_evaluator import defined_for, firings
 from oracle.comparison import answer, difference, engine_events, engine_steps, report, shrink
-from oracle.nested_absences import NestedAbsences
+from oracle.nested_absence_cases import NestedAbsences
 from oracle.pattern_classes import Check, Cnot, Fnot, Sub, walk
 from oracle.rule_notation import stream, write_rule
 from oracle.strategies import cases, drawn_cases

@@ -5,7 +5,7 @@ from typing import Any, Dict, List, Optional, Tuple
 
 import pytest
 from events.program_runner import ProgramRunner, format_events, outputs_of, term_text
-from search_rounds import search_rounds
+from nightly_round_numbers import round_numbers
 
 from retalis import Engine
 from retalis.events.network.repeat_node import RepeatNode
@@ -166,7 +166,7 @@ def outputs_and_match_count(rule: Any, policy: Any, flags: Any, stream: Any, cha
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("group", search_rounds(2, 10))
+@pytest.mark.parametrize("group", round_numbers(2, 10))
 def test_random_ntimes_equal_written_sequences(group: Any) -> None:
     for number in range(25):
         generator = random.Random(f"{group} {number}")

@@ -7,9 +7,9 @@ from node.memory_transport import MemoryTransport
 from retalis import Definitions, Reports
 from retalis.messages.message_dictionaries import make_message_term, read_message_term
 from retalis.messages.type_definition import SerializationFormat
-from retalis.node.host_context import HostContext
 from retalis.node.parameters import read_parameters
 from retalis.node.program_host import ProgramHost
+from retalis.node.program_host_context import HostContext
 from retalis.node.text_exchange import PlainTextExchange
 
 DEFINITIONS = Definitions()

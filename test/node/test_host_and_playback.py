@@ -9,9 +9,9 @@ from node.memory_transport import MemoryNetwork, MemoryTransport
 
 from retalis import BagReader, BagWriter, Definitions, Playback, Reports
 from retalis.messages.message_dictionaries import make_message_term
-from retalis.node.host_context import HostContext
 from retalis.node.parameters import read_parameters
 from retalis.node.program_host import ProgramHost
+from retalis.node.program_host_context import HostContext
 from retalis.node.text_exchange import PlainTextExchange
 from retalis.prolog.syntax.event_text import to_text
 

@@ -19,7 +19,7 @@ from retalis.prolog.terms.timestamps import SECOND
 
 from . import retraction
 from .goal_evaluator import show
-from .nested_absences import NestedAbsences
+from .nested_absence_cases import NestedAbsences
 from .pattern_classes import NO_PROPERTIES, Pattern, Rule
 from .strategies import Case, random_case
 

@@ -36,7 +36,7 @@ from retalis.events.network.node_timers import NodeTimers
 from retalis.events.network.stream_node import StreamNode
 from retalis.events.streams import row_pattern
 from retalis.events.streams.absence_timeout import AbsenceTimeout
-from retalis.events.streams.held_window import HeldSignal
+from retalis.events.streams.held_value_windows import HeldSignal
 from retalis.events.streams.rate_operators import RATE_OPERATORS, Debounce, DistinctUntilChanged, Throttle
 from retalis.events.streams.row_pattern import RowPatternWindow
 from retalis.events.streams.row_pattern_automaton import RowPatternNFA

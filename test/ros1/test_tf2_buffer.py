@@ -9,7 +9,7 @@ import pytest
 import rospy
 import tf2_py
 from geometry_msgs.msg import TransformStamped
-from search_rounds import search_rounds
+from nightly_round_numbers import round_numbers
 
 from retalis.events.knowledge import transform_buffer
 from retalis.events.knowledge.transform_buffer import TransformBuffer
@@ -96,7 +96,7 @@ def play(seed: Any, counts: Any) -> None:
                 getattr(target, operation)(*arguments)
 
 
-@pytest.mark.parametrize("part", search_rounds(1, 4))
+@pytest.mark.parametrize("part", round_numbers(1, 4))
 def test_answers_equal_those_of_tf2(part: int, capfd: pytest.CaptureFixture[str]) -> None:
     counts: Dict[Any, Any] = {}
     for seed in range(part * TREES // 4, (part + 1) * TREES // 4):

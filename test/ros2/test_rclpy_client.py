@@ -20,9 +20,9 @@ from retalis import UsageError
 from retalis.cli.command_line import main
 from retalis.cli.completion import list_names
 from retalis.cli.node_client import NodeClient
-from retalis.node.host_context import HostContext
 from retalis.node.parameters import read_parameters
 from retalis.node.program_host import ProgramHost
+from retalis.node.program_host_context import HostContext
 from retalis.node.text_exchange import INPUT, OUTPUT, PlainTextExchange
 from retalis.ros2 import rclpy_client
 from retalis.ros2.rclpy_client import RclpyClient

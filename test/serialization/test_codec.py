@@ -14,7 +14,7 @@ from retalis.prolog.terms.term_traversal import term_key
 from retalis.prolog.terms.timestamps import FloatSeconds, Stamp
 from retalis.prolog.terms.types import Lazy
 from retalis.serialization.codec import from_bytes, to_bytes
-from retalis.serialization.field_types import KEY, FlatKey
+from retalis.serialization.stored_field_types import KEY, FlatKey
 
 ATOMS = st.text(max_size=5).map(atom)
 LEAVES = st.one_of(

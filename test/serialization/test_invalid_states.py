@@ -11,8 +11,8 @@ from retalis import Engine, StreamClock, UsageError, atom, functor, make_list
 from retalis.events.matches.match_types import PartialMatch
 from retalis.prolog.terms.timestamps import MAX_TIMESTAMP, SECOND, FloatSeconds, Stamp
 from retalis.serialization.codec import Ref, from_bytes, to_bytes
-from retalis.serialization.field_types import invalid_value
 from retalis.serialization.state_file_format import pack_sections, unpack_sections
+from retalis.serialization.stored_field_types import invalid_value
 
 RULES = """
 p(X, Y) <- a(X) seq b(Y).

@@ -9,7 +9,6 @@ from serialization.released_states import FLAGS, FOLDER, continued_outputs, engi
 
 from retalis import Engine, StreamClock, UsageError
 from retalis.serialization.codec import from_bytes, to_bytes
-from retalis.serialization.field_types import FieldChange
 from retalis.serialization.state_fields import KINDS, StateFields, StateOwner
 from retalis.serialization.state_file_format import (
     FORMAT_NUMBER,
@@ -17,6 +16,7 @@ from retalis.serialization.state_file_format import (
     pack_sections,
     unpack_sections,
 )
+from retalis.serialization.stored_field_types import FieldChange
 
 RELEASES = sorted(path.stem for path in FOLDER.glob("*.json"))
 

@@ -7,9 +7,9 @@ from random import Random
 from typing import Any, Dict, List, Sequence, Tuple
 
 import pytest
+from nightly_round_numbers import round_numbers
 from oracle.rule_notation import write_rule
 from oracle.strategies import ARITY, Generator, event_name
-from search_rounds import search_rounds
 
 from retalis import BagReader, BagWriter, Definitions, Playback, RetalisError, Term, functor
 from retalis.playback.bag_locations import Bag
@@ -274,7 +274,7 @@ def run_random_pair(seed: int, folder: Path) -> Extent:
     return comparison.extent
 
 
-@pytest.mark.parametrize("number", search_rounds(1, 200))
+@pytest.mark.parametrize("number", round_numbers(1, 200))
 def test_random_pairs_differ_as_whole_runs_do(number: int, tmp_path: Path) -> None:
     extents: Dict[Extent, int] = dict.fromkeys(Extent, 0)
     for seed in range(number * CASES_PER_ROUND, (number + 1) * CASES_PER_ROUND):

@@ -27,7 +27,7 @@ from ..events.language.state_parser import StateForm, declares_state, parse_stat
 from ..events.language.stream_parser import regroup_rate_operator
 from ..events.program.topic_configuration import GOALS, TOPICS, read_text
 from ..events.streams.aggregates import AGGREGATES
-from ..events.streams.held_window import HELD_AGGREGATES
+from ..events.streams.held_value_windows import HELD_AGGREGATES
 from ..foundation.displayed_text import format_count, format_duration, shorten
 from ..foundation.errors import UsageError
 from ..messages.type_definition import type_name

@@ -43,7 +43,9 @@ from ..foundation.read_only_sqlite import open_without_locks
 from ..messages.type_registry import Definitions
 from ..serialization.codec import from_bytes, to_bytes
 from ..serialization.columns import DecodedRecords, MemoryRecords, decode_records, encode_records
-from ..serialization.field_types import (
+from ..serialization.state_fields import read_named_values, record_of
+from ..serialization.state_file_format import FORMAT_NUMBER, changes_since, check_version
+from ..serialization.stored_field_types import (
     ANYTHING,
     COUNT,
     PATH,
@@ -55,8 +57,6 @@ from ..serialization.field_types import (
     tuple_of,
     with_path,
 )
-from ..serialization.state_fields import read_named_values, record_of
-from ..serialization.state_file_format import FORMAT_NUMBER, changes_since, check_version
 from .engine import Engine
 from .engine_settings import Settings
 from .engine_snapshot import convert_errors, decode_sections, records_since

@@ -43,8 +43,8 @@ from ..prolog.terms.timestamps import FloatSeconds
 from ..prolog.terms.types import Frame, Functor, Term, Var
 from ..serialization.codec import from_bytes
 from ..serialization.columns import decode_records
-from ..serialization.field_types import ReadContext
 from ..serialization.state_file_format import changes_since, pack_sections, unpack_sections
+from ..serialization.stored_field_types import ReadContext
 from .engine_parts import EngineParts
 from .engine_settings import Settings
 from .engine_snapshot import EngineSnapshot, convert_errors, create_clock, decode_sections, encode_state

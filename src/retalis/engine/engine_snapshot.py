@@ -40,7 +40,16 @@ from ..prolog.system.prolog_system import PrologSystem
 from ..prolog.terms.types import Functor, Term
 from ..serialization.codec import from_bytes, to_bytes
 from ..serialization.columns import DecodedRecords, MemoryRecords, encode_records
-from ..serialization.field_types import (
+from ..serialization.state_fields import (
+    StateFields,
+    StateOwner,
+    field,
+    part,
+    read_named_values,
+    record_of,
+    rows_of,
+)
+from ..serialization.stored_field_types import (
     BOOLEAN,
     CALLABLE_TERM,
     NO_OBJECTS,
@@ -57,15 +66,6 @@ from ..serialization.field_types import (
     one_of,
     sequence_of,
     with_path,
-)
-from ..serialization.state_fields import (
-    StateFields,
-    StateOwner,
-    field,
-    part,
-    read_named_values,
-    record_of,
-    rows_of,
 )
 from .event_input import EventInput, InputTopics, TopicRequest
 from .loaded_items import (

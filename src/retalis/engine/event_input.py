@@ -34,8 +34,8 @@ from ..prolog.syntax.operators import Operators
 from ..prolog.system.prolog_system import PrologSystem
 from ..prolog.terms.timestamps import format_distance
 from ..prolog.terms.types import Atom, String, Term, deref, functor_of
-from ..serialization.field_types import COUNT
 from ..serialization.state_fields import StateFields, StateOwner, field, part
+from ..serialization.stored_field_types import COUNT
 from .redelivered_messages import IdentifiedMessage, ProcessedMessages
 from .runtime.problem_reports import Reports
 

@@ -24,7 +24,8 @@ from ..prolog.system.prolog_snapshot import CLAUSES, StoredClause, program_predi
 from ..prolog.system.prolog_system import PrologSystem
 from ..prolog.terms.term_traversal import term_key
 from ..prolog.terms.types import Functor, Term, functor
-from ..serialization.field_types import (
+from ..serialization.state_fields import record_of
+from ..serialization.stored_field_types import (
     COUNT,
     FUNCTOR,
     PATH,
@@ -35,7 +36,6 @@ from ..serialization.field_types import (
     sequence_of,
     tuple_of,
 )
-from ..serialization.state_fields import record_of
 from .rule_network_snapshot import PROPERTIES
 
 _CLAUSE_FUNCTOR = functor(":-", 2)

@@ -9,8 +9,8 @@ engine records a message together with its event, so that a message whose event 
 from typing import Dict, List, NamedTuple, Tuple
 
 from ..prolog.terms.types import Term
-from ..serialization.field_types import COUNT, TEXT, mapping_of, sequence_of, tuple_of
 from ..serialization.state_fields import StateFields, StateOwner, constraint, field
+from ..serialization.stored_field_types import COUNT, TEXT, mapping_of, sequence_of, tuple_of
 
 MAX_MESSAGES = 100
 """Number of messages of a topic that are recognized: the last ones."""

@@ -21,7 +21,18 @@ from ..events.rules.rule_base import RuleBase
 from ..foundation.source_places import Place
 from ..prolog.system.prolog_snapshot import PLACE
 from ..prolog.terms.types import Atom, Term, Var
-from ..serialization.field_types import (
+from ..serialization.object_graph import ExternalKey, ExternalObjects, ObjectReader, ObjectWriter
+from ..serialization.state_fields import (
+    StateFields,
+    StateOwner,
+    constraint,
+    field,
+    part,
+    part_list,
+    record_of,
+    rows_of,
+)
+from ..serialization.stored_field_types import (
     ANYTHING,
     BOOLEAN,
     CALLABLE_TERM,
@@ -39,17 +50,6 @@ from ..serialization.field_types import (
     optional,
     sequence_of,
     with_path,
-)
-from ..serialization.object_graph import ExternalKey, ExternalObjects, ObjectReader, ObjectWriter
-from ..serialization.state_fields import (
-    StateFields,
-    StateOwner,
-    constraint,
-    field,
-    part,
-    part_list,
-    record_of,
-    rows_of,
 )
 
 # ---- definitions of rules ----------------------------------------------------------------------------

@@ -24,8 +24,8 @@ from ..prolog.system.prolog_system import PrologSystem
 from ..prolog.terms.list_terms import list_items
 from ..prolog.terms.term_traversal import copy, variables
 from ..prolog.terms.types import Term, atom, deref, functor
-from ..serialization.field_types import COUNT, TERM, TEXT
 from ..serialization.state_fields import StateFields, StateOwner, field, rows_of
+from ..serialization.stored_field_types import COUNT, TERM, TEXT
 from .event_input import get_text
 from .runtime.problem_reports import Reports
 from .runtime.serial_executor import SerialExecutor

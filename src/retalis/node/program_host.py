@@ -34,11 +34,11 @@ from .diagnostics import (
 )
 from .goal_output import log_counts, log_error, print_goal_output
 from .graph_watch import GraphWatch
-from .host_context import HostContext
 from .latched_deduplication import LatchedConnection
 from .node_dashboard import NodeDashboard
 from .output_forwarding import OutputForwarding
 from .parameters import DEFAULT_WATCHDOG_SECONDS, Parameters
+from .program_host_context import HostContext
 from .published_topics import OutputRelay, TextOnlyOutputs
 from .running_program import OutputCallbacks, ProgramContext, RunningProgram, make_event_handler
 from .service_caller import ServiceCaller

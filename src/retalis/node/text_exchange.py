@@ -18,7 +18,7 @@ from ..messages.message_to_event_text import make_text_writer
 from ..messages.type_definition import SerializationFormat
 from ..prolog.syntax.event_text import event_text, to_text
 from ..prolog.terms.types import Term, atom, functor
-from .host_context import HostContext
+from .program_host_context import HostContext
 from .topic_statistics import OutputStatus, describe_publication
 from .transport import MessageSource, TopicPublication
 from .transport_time import Receipts

@@ -10,9 +10,9 @@ from typing import Any, Callable, List
 from ..engine.engine import Engine
 from ..engine.event_input import TopicRequest
 from ..engine.runtime.problem_reports import Reports
-from ..node.host_context import HostContext
 from ..node.parameters import Parameters
 from ..node.program_host import ProgramHost
+from ..node.program_host_context import HostContext
 from ..node.subscribed_topics import SubscribedTopics
 from .internode_control_topics import InputTopicChangesReceiver, ProjectionPublisher, SubscriptionPublisher
 from .node_lifecycle import run_node

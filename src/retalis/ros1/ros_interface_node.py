@@ -19,9 +19,9 @@ from ..messages.decoder import Decoder
 from ..messages.message_to_event_text import make_text_writer, write_without_unread
 from ..node.diagnostics import Diagnostics, InputRole, NodeHealth, evaluate_program
 from ..node.goal_output import log_error
-from ..node.host_context import HostContext
 from ..node.latched_deduplication import LatchedConnection
 from ..node.parameters import Parameters
+from ..node.program_host_context import HostContext
 from ..node.published_topics import PublishedTopics
 from ..node.running_program import open_topics
 from ..node.services import InterfaceServices, ListService

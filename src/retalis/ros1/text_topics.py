@@ -23,13 +23,13 @@ from ..foundation.bounded_caches import Cache
 from ..foundation.errors import UsageError
 from ..messages.decoder import Decoder
 from ..messages.type_registry import Definitions
-from ..node.host_context import HostContext
 from ..node.latched_deduplication import (
     LATCHED_MARK_PREFIX,
     LatchedMessage,
     LatchedMessageDeduplicator,
     parse_latched_mark,
 )
+from ..node.program_host_context import HostContext
 from ..node.subscribed_topics import HandlerFactory
 from ..node.text_exchange import (
     INPUT,

@@ -26,7 +26,6 @@ from ..foundation.errors import RetalisError, UsageError
 from ..foundation.garbage_collection import limit_gc_pauses
 from ..foundation.interrupts import check_interrupt
 from ..node.goal_output import log_counts
-from ..node.host_context import HostContext
 from ..node.node_process import run_node_process, wait_while
 from ..node.parameters import (
     PARAMETER_DESCRIPTIONS,
@@ -36,6 +35,7 @@ from ..node.parameters import (
     read_parameters,
 )
 from ..node.program_host import ProgramHost
+from ..node.program_host_context import HostContext
 from ..node.text_exchange import PlainTextExchange
 from ..prolog.builtins.listing_and_messages import goal_log
 from .installed_interfaces import ament_prefixes

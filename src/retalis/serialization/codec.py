@@ -22,7 +22,7 @@ import msgpack
 from ..foundation.errors import UsageError
 from ..prolog.terms.timestamps import FloatSeconds, Stamp
 from ..prolog.terms.types import Atom, Functor, Lazy, String, Var, atom, deref, functor
-from .field_types import ITEM_FUNCTOR_NAME, TERM, FlatKey, items_of
+from .stored_field_types import ITEM_FUNCTOR_NAME, TERM, FlatKey, items_of
 
 _ATOM, _FUNCTOR, _VARIABLE, _STRING, _REF, _NODE, _LONG_INTEGER, _MARKER, _INSTANT, _STAMP = range(10)
 """Codes of the extension types."""

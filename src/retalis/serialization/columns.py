@@ -13,7 +13,8 @@ from typing import Any, Hashable, List, NamedTuple, Optional, Sequence, Tuple
 
 from ..prolog.terms.timestamps import FloatSeconds, Stamp
 from ..prolog.terms.types import Atom, Term
-from .field_types import (
+from .state_fields import named_values, record_of
+from .stored_field_types import (
     ANYTHING,
     BOOLEAN,
     COUNT,
@@ -28,7 +29,6 @@ from .field_types import (
     items_of,
     with_path,
 )
-from .state_fields import named_values, record_of
 
 _MIN_COLUMN_TERMS, _MAX_COLUMN_DEPTH, _MAX_COLUMNS = 50, 4, 64
 """Minimum number of terms that are encoded in columns; maximum nesting and total number of columns."""

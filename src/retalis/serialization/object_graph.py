@@ -21,7 +21,8 @@ from typing import Callable, DefaultDict, Dict, FrozenSet, List, Mapping, Option
 
 from ..foundation.errors import UsageError
 from .codec import Ref
-from .field_types import (
+from .state_fields import KINDS, ObjectFields, StoredField, check_column, named_values
+from .stored_field_types import (
     ANYTHING,
     COUNT,
     NO_CONTEXT,
@@ -37,7 +38,6 @@ from .field_types import (
     sequence_of,
     tuple_of,
 )
-from .state_fields import KINDS, ObjectFields, StoredField, check_column, named_values
 
 ExternalKey = Sequence[int]
 """Numbers that name an external object."""

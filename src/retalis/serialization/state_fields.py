@@ -30,7 +30,7 @@ from typing import (
 )
 
 from ..foundation.errors import UsageError
-from .field_types import (
+from .stored_field_types import (
     ANYTHING,
     COUNT,
     TEXT,

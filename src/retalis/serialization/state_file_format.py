@@ -12,8 +12,8 @@ from typing import Dict, List, Mapping, NamedTuple, Optional, Sequence, Tuple
 from zlib import crc32
 
 from ..foundation.errors import UsageError
-from .field_types import ANYTHING, COUNT, FieldChange, items_of, sequence_of, tuple_of
 from .state_fields import named_values, read_named_values
+from .stored_field_types import ANYTHING, COUNT, FieldChange, items_of, sequence_of, tuple_of
 
 MAGIC = b"retalis state\n"
 

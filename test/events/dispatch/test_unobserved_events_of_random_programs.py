@@ -9,7 +9,7 @@ import re
 from typing import Any, Iterator, List, Tuple
 
 import pytest
-from search_rounds import search_rounds
+from nightly_round_numbers import round_numbers
 
 from retalis import Engine, Settings, Var, functor
 from retalis.events.dispatch.listeners import ListenerPhase
@@ -116,7 +116,7 @@ def results_of_program(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("batch", search_rounds(1, 4))
+@pytest.mark.parametrize("batch", round_numbers(1, 4))
 def test_listener_of_all_events_keeps_results(batch: int, caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level(logging.WARNING, "retalis")
     for seed in range(batch * 12, batch * 12 + 12):

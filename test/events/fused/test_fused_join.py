@@ -7,8 +7,8 @@ from unittest.mock import patch
 
 import pytest
 from events.fused.fused_path_plugin import PATHS
+from nightly_round_numbers import round_numbers
 from recording_reports import RecordingReports
-from search_rounds import search_rounds
 
 from retalis import Engine, Settings, StreamClock, Var, atom, functor
 from retalis.events.dispatch.listeners import ListenerPhase
@@ -158,7 +158,7 @@ def test_fused_join_equals_plain_nodes(batch: int) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("batch", search_rounds(1, 20))
+@pytest.mark.parametrize("batch", round_numbers(1, 20))
 def test_fused_join_equals_plain_nodes_on_many_streams(batch: Any) -> None:
     for seed in range(1000 + batch * 50, 1050 + batch * 50):
         compare(seed)

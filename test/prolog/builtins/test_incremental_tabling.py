@@ -7,9 +7,9 @@ from types import ModuleType
 from typing import Any, List
 
 import pytest
+from nightly_round_numbers import round_numbers
 from prolog.goal_answers import NEVER, answers, first, prolog
 from script_modules import load_script
-from search_rounds import search_rounds
 
 from retalis import Limits
 from retalis.prolog.builtins.tabling import Table, tables_of
@@ -448,7 +448,7 @@ def solutions(logic: Any, goal: Any) -> List[Any]:
     return [answer.get("S") if isinstance(answer, dict) else answer for answer in answers(logic, goal)]
 
 
-@pytest.mark.parametrize("seed", search_rounds(10, 40))
+@pytest.mark.parametrize("seed", round_numbers(10, 40))
 def test_incremental_tables_equal_fresh_ones(seed: int) -> None:
     rng = random.Random(seed)
     rules = random_rules(rng, _NAMES)
@@ -476,7 +476,7 @@ def test_incremental_tables_equal_fresh_ones(seed: int) -> None:
     assert incremental.machine.choices == [] == incremental.machine.trail
 
 
-@pytest.mark.parametrize("seed", search_rounds(10, 40))
+@pytest.mark.parametrize("seed", round_numbers(10, 40))
 def test_incremental_tables_equal_untabled_predicates(seed: int) -> None:
     rng = random.Random(seed)
     rules: List[Any] = []
@@ -511,7 +511,7 @@ def load_neighbor(name: str) -> ModuleType:
 
 @pytest.mark.slow
 @pytest.mark.skipif(shutil.which("swipl") is None, reason="SWI-Prolog is not installed")
-@pytest.mark.parametrize("seed", search_rounds(1, 4))
+@pytest.mark.parametrize("seed", round_numbers(1, 4))
 def test_incremental_tables_equal_those_of_swi_prolog(seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
     # Restores the search path, to which the modules add their folder.
     monkeypatch.syspath_prepend(Path(__file__).parents[1])

@@ -29,8 +29,8 @@ from ...foundation.errors import RetalisError, UsageError
 from ...foundation.interrupts import PENDING, SafeExit, interruptible, raise_pending
 from ...prolog.system.prolog_system import PrologSystem
 from ...prolog.terms.types import atom
-from ...serialization.field_types import COUNT
 from ...serialization.state_fields import StateFields, StateOwner, field
+from ...serialization.stored_field_types import COUNT
 
 if TYPE_CHECKING:
     from types import FrameType

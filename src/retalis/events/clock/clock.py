@@ -15,8 +15,8 @@ from itertools import count
 from typing import Callable, List, Optional, Tuple
 
 from ...prolog.terms.timestamps import SECOND
-from ...serialization.field_types import BOOLEAN, CLOCK_INSTANT, COUNT, optional
 from ...serialization.state_fields import NextNumber, StateFields, StateOwner, field
+from ...serialization.stored_field_types import BOOLEAN, CLOCK_INSTANT, COUNT, optional
 from .stamp_jumps import MAX_STEP, EventName, JumpDecision, StampJumps
 
 Alarm = Callable[[int], None]

@@ -20,8 +20,8 @@ from enum import Enum
 from typing import Dict, Hashable, List, NamedTuple, Optional, Sequence, Tuple
 
 from ...prolog.terms.timestamps import BEFORE_ALL_INSTANTS, SECOND
-from ...serialization.field_types import BOOLEAN, CLOCK_INSTANT, COUNT, FUNCTOR, optional, sequence_of
 from ...serialization.state_fields import StateFields, StateOwner, field, rows_of
+from ...serialization.stored_field_types import BOOLEAN, CLOCK_INSTANT, COUNT, FUNCTOR, optional, sequence_of
 
 MAX_STEP = 10 * SECOND
 """Step in ns up to which a timestamp always moves the clock."""

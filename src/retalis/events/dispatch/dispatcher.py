@@ -28,8 +28,8 @@ from ...prolog.machine.resource_limits import Budget, record_caught_error
 from ...prolog.system.prolog_system import PrologSystem
 from ...prolog.terms.term_traversal import copy, has_no_variables, is_ground, term_key
 from ...prolog.terms.types import Atom, EventAction, Frame, Functor, Term, Values, Var, deref
-from ...serialization.field_types import COUNT
 from ...serialization.state_fields import NextNumber, StateFields, StateOwner, field
+from ...serialization.stored_field_types import COUNT
 from .argument_projection import ArgumentProjection, find_unread_positions
 from .discrimination_tree import Plan, PushdownFilter, SwitchNode, make_plan, matches_all_events
 from .listeners import (

@@ -16,8 +16,8 @@ from ...prolog.terms.term_traversal import copy
 from ...prolog.terms.timestamps import interval_term
 from ...prolog.terms.types import SLASH, Atom, Frame, Functor, Term, Trail, Values, Var, deref, functor
 from ...prolog.terms.unification import undo, unify
-from ...serialization.field_types import CALLABLE_TERM, INSTANT
 from ...serialization.state_fields import StateFields, StateOwner, field, rows_of
+from ...serialization.stored_field_types import CALLABLE_TERM, INSTANT
 from .dispatcher import Dispatcher
 from .listeners import Listener, ListenerPhase
 

@@ -51,7 +51,6 @@ from ...prolog.terms.term_traversal import copy, freeze, term_key, variables
 from ...prolog.terms.timestamps import lazy_term
 from ...prolog.terms.types import Frame, Functor, Term, Values, Var, atom, deref, functor, functor_of
 from ...prolog.terms.unification import may_unify
-from ...serialization.field_types import CALLABLE_TERM, COUNT, INSTANT, KEY, State, sequence_of, tuple_of
 from ...serialization.state_fields import (
     NextNumber,
     StateFields,
@@ -60,6 +59,15 @@ from ...serialization.state_fields import (
     field,
     part,
     rows_of,
+)
+from ...serialization.stored_field_types import (
+    CALLABLE_TERM,
+    COUNT,
+    INSTANT,
+    KEY,
+    State,
+    sequence_of,
+    tuple_of,
 )
 from ..clock.clock import Clock
 from ..dispatch.dispatcher import Dispatcher

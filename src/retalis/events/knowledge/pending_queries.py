@@ -57,7 +57,6 @@ from ...prolog.terms.types import (
     functor,
     functor_of,
 )
-from ...serialization.field_types import CALLABLE_TERM, COUNT, INSTANT, TERM, sequence_of, tuple_of
 from ...serialization.state_fields import (
     NextNumber,
     StateFields,
@@ -67,6 +66,7 @@ from ...serialization.state_fields import (
     part,
     rows_of,
 )
+from ...serialization.stored_field_types import CALLABLE_TERM, COUNT, INSTANT, TERM, sequence_of, tuple_of
 from ..clock.clock import Clock
 from ..dispatch.dispatcher import Dispatcher
 from ..dispatch.listeners import ListenerPhase

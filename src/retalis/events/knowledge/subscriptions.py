@@ -26,8 +26,8 @@ from ...prolog.machine.errors import domain_error, permission_error
 from ...prolog.system.prolog_system import PrologSystem
 from ...prolog.terms.term_traversal import copy, term_key, variables
 from ...prolog.terms.types import MINUS, Atom, EventAction, Frame, Term, Values, deref, functor_of
-from ...serialization.field_types import COUNT, State, invalid_value, sequence_of
 from ...serialization.state_fields import StateFields, StateOwner, constraint, field, part
+from ...serialization.stored_field_types import COUNT, State, invalid_value, sequence_of
 from ..dispatch.dispatcher import Dispatcher
 from ..dispatch.listeners import Listener, ListenerPhase
 from ..language.pattern_tree import RatePattern

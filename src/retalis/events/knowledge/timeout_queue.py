@@ -22,8 +22,8 @@ from ...foundation.errors import UsageError
 from ...prolog.terms.list_terms import list_items
 from ...prolog.terms.timestamps import from_seconds
 from ...prolog.terms.types import Term, deref, functor
-from ...serialization.field_types import COUNT, INSTANT, sequence_of
 from ...serialization.state_fields import StateFields, StateOwner, field, rows_of
+from ...serialization.stored_field_types import COUNT, INSTANT, sequence_of
 from ..clock.clock import Clock
 from ..matches.watermarks import PatternWatermark, Watermarks
 

@@ -38,7 +38,7 @@ from ...prolog.terms.types import (
     functor_name,
 )
 from ..streams.aggregates import AGGREGATES, Setting
-from ..streams.held_window import HELD_AGGREGATES, MAX_HELD_STEPS
+from ..streams.held_value_windows import HELD_AGGREGATES, MAX_HELD_STEPS
 from ..streams.rate_operators import RATE_OPERATORS
 from .event_operators import OPERATOR_NAMES
 from .likely_mistakes import bracket_advice, operator_name

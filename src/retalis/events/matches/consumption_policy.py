@@ -45,8 +45,8 @@ from typing import (
 
 from ...prolog.machine.resource_limits import Meter
 from ...prolog.terms.types import Frame
-from ...serialization.field_types import sequence_of
 from ...serialization.state_fields import StateFields, StateOwner, constraint, field
+from ...serialization.stored_field_types import sequence_of
 from .match_buffer import MatchBuffer, has_equal_key
 from .match_types import MATCH_REFERENCE, PartialMatch, arrival_number_of, lineage_sources, unify_sides
 

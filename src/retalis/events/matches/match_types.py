@@ -30,7 +30,8 @@ from typing import (
 from ...prolog.terms.term_traversal import copy, resolve, term_key
 from ...prolog.terms.types import Functor, Term, Trail, Values, Var
 from ...prolog.terms.unification import undo, unify
-from ...serialization.field_types import (
+from ...serialization.state_fields import ObjectFields, constraint, field
+from ...serialization.stored_field_types import (
     BOOLEAN,
     COMPOUND_TERM,
     COUNT,
@@ -49,7 +50,6 @@ from ...serialization.field_types import (
     sequence_of,
     tuple_of,
 )
-from ...serialization.state_fields import ObjectFields, constraint, field
 from ..streams.stream_operators import MATCH_KINDS
 
 if TYPE_CHECKING:

@@ -18,8 +18,8 @@ from weakref import WeakMethod, WeakSet
 from ...foundation.errors import UsageError
 from ...prolog.terms.timestamps import SECOND
 from ...prolog.terms.types import Atom, Functor, Term, deref, functor_of
-from ...serialization.field_types import CLOCK_INSTANT, COUNT, FUNCTOR
 from ...serialization.state_fields import StateFields, StateOwner, field, rows_of
+from ...serialization.stored_field_types import CLOCK_INSTANT, COUNT, FUNCTOR
 from ..language.pattern_tree import EventPattern, Pattern, RuleDefinition, walk
 from ..language.rule_heads import event_raised_by
 

@@ -15,8 +15,8 @@ the next event is dispatched. Rules may emit events while an event is dispatched
 from typing import TYPE_CHECKING, Dict, Hashable, Iterable, List, NamedTuple, Optional, Set
 
 from ...prolog.terms.types import Frame
-from ...serialization.field_types import INSTANT, sequence_of
 from ...serialization.state_fields import StateFields, StateOwner, field
+from ...serialization.stored_field_types import INSTANT, sequence_of
 from ..dispatch.listeners import DEPTH
 from ..matches.consumption_policy import Emit
 from ..matches.expiration import ExpirationQueue

@@ -30,7 +30,7 @@ from typing import (
 
 from ...prolog.terms.term_traversal import positions, variables
 from ...prolog.terms.types import Term, Values, Var, deref, functor
-from ...serialization.field_types import ITEM_FUNCTOR_NAME
+from ...serialization.stored_field_types import ITEM_FUNCTOR_NAME
 from ..language.pattern_tree import (
     AbsencePattern,
     AggregatePattern,

@@ -38,16 +38,6 @@ from ...foundation.source_places import line_of
 from ...prolog.terms.term_traversal import is_larger, variables
 from ...prolog.terms.timestamps import BEFORE_ALL_INSTANTS
 from ...prolog.terms.types import Atom, EventAction, Frame, Functor, Term, Values, Var, deref
-from ...serialization.field_types import (
-    COUNT,
-    INSTANT,
-    MATCH_ORDER,
-    State,
-    integer,
-    optional,
-    references,
-    sequence_of,
-)
 from ...serialization.state_fields import (
     StateFields,
     StateOwner,
@@ -57,6 +47,16 @@ from ...serialization.state_fields import (
     part_list,
     record_of,
     rows_of,
+)
+from ...serialization.stored_field_types import (
+    COUNT,
+    INSTANT,
+    MATCH_ORDER,
+    State,
+    integer,
+    optional,
+    references,
+    sequence_of,
 )
 from ..dispatch.listeners import Listener, ListenerPhase
 from ..dispatch.matcher_compiler import compile_builder

@@ -34,8 +34,8 @@ from typing import (
 from ...foundation.codegen import shared_function
 from ...prolog.terms.term_traversal import positions
 from ...prolog.terms.types import Frame, Var
-from ...serialization.field_types import State, sequence_of
 from ...serialization.state_fields import StateFields, field, part
+from ...serialization.stored_field_types import State, sequence_of
 from ..fused.fused_join import FusedPair, PartnerChoice, compile_fused_negation, compile_fused_operand
 from ..language.event_operators import EventOperator
 from ..matches.consumption_policy import (

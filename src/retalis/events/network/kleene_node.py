@@ -36,8 +36,8 @@ from ...foundation.errors import RuleError
 from ...prolog.terms.term_traversal import positions, resolve, variables
 from ...prolog.terms.types import Frame, Term, Trail, Values, Var
 from ...prolog.terms.unification import undo, unify
-from ...serialization.field_types import NOTHING, FieldType, State
 from ...serialization.state_fields import StateFields, part
+from ...serialization.stored_field_types import NOTHING, FieldType, State
 from ..dispatch.matcher_compiler import compile_builder
 from ..language.pattern_tree import SEQ
 from ..matches.consumption_policy import (

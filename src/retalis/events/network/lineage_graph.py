@@ -12,7 +12,8 @@ graph as well, so an occurrence has one link for all results of a run, not one p
 from typing import TYPE_CHECKING, Any, Iterator, List, Optional, Sequence, Tuple, Union
 
 from ...prolog.terms.types import Term
-from ...serialization.field_types import (
+from ...serialization.state_fields import ObjectFields, constraint, field
+from ...serialization.stored_field_types import (
     BOOLEAN,
     COUNT,
     INSTANT,
@@ -22,7 +23,6 @@ from ...serialization.field_types import (
     sequence_of,
     tuple_of,
 )
-from ...serialization.state_fields import ObjectFields, constraint, field
 from ..matches.match_types import (
     LINEAGE_FIELDS,
     MATCH_REFERENCE,

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any, Callable, Deque, Dict, Hashable, Iterable
 from ...prolog.machine.resource_limits import Budget
 from ...prolog.terms.term_traversal import term_key
 from ...prolog.terms.types import Frame, Term, Values, Var
-from ...serialization.field_types import COUNT, references
 from ...serialization.state_fields import NextNumber, StateFields, StateOwner, field
+from ...serialization.stored_field_types import COUNT, references
 from ..dispatch.dispatcher import Dispatcher
 from ..dispatch.listeners import CAUSE, END, PARENT, START, TERM, TOKEN, Context, Listener, ListenerPhase
 from ..language.rule_heads import SYNCHRONIZED

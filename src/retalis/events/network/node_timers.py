@@ -15,8 +15,8 @@ from ...foundation.errors import RetalisError
 from ...prolog.machine.errors import Halt
 from ...prolog.machine.machine import Machine
 from ...prolog.terms.types import Term
-from ...serialization.field_types import CALLABLE_TERM, COUNT, INSTANT, reference
 from ...serialization.state_fields import rows_of
+from ...serialization.stored_field_types import CALLABLE_TERM, COUNT, INSTANT, reference
 from ..clock.clock import Clock
 from ..dispatch.dispatcher import Dispatcher
 from ..matches.match_types import OPTIONAL_EVENT

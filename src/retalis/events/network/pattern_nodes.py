@@ -36,8 +36,8 @@ from typing import (
 
 from ...prolog.terms.term_traversal import positions, term_key, variables
 from ...prolog.terms.types import EventAction, Frame, Term, Values, Var
-from ...serialization.field_types import NOTHING, FieldType, State
 from ...serialization.state_fields import StateOwner
+from ...serialization.stored_field_types import NOTHING, FieldType, State
 from ..dispatch.discrimination_tree import matches_all_events
 from ..fused.fused_single_event import Continuation
 from ..language.pattern_tree import (

@@ -33,8 +33,16 @@ from typing import (
 
 from ...prolog.terms.term_traversal import positions
 from ...prolog.terms.types import Frame, Values, Var
-from ...serialization.field_types import BOOLEAN, KEY, State, integer, mapping_of, reference, sequence_of
 from ...serialization.state_fields import StateFields, constraint, field
+from ...serialization.stored_field_types import (
+    BOOLEAN,
+    KEY,
+    State,
+    integer,
+    mapping_of,
+    reference,
+    sequence_of,
+)
 from ..language.event_operators import PAIR_OPERATORS
 from ..language.pattern_tree import SEQ
 from ..matches.consumption_policy import Emit, emit_each, metered

@@ -29,7 +29,8 @@ from typing import (
 )
 
 from ...prolog.terms.types import NIL, Term, Values, Var
-from ...serialization.field_types import (
+from ...serialization.state_fields import ObjectFields, constraint, field
+from ...serialization.stored_field_types import (
     COUNT,
     INSTANT,
     KEY,
@@ -41,7 +42,6 @@ from ...serialization.field_types import (
     sequence_of,
     tuple_of,
 )
-from ...serialization.state_fields import ObjectFields, constraint, field
 from ..matches.match_types import (
     MATCH_REFERENCE,
     MATCH_VALUES,

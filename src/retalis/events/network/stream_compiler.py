@@ -73,7 +73,7 @@ from ..matches.match_policies import NetworkOptions
 from ..matches.match_types import PartialMatch, unify_sides
 from ..streams.absence_timeout import AbsenceTimeout, ComputedAbsenceTimeout, Correlation, NotPrecededFilter
 from ..streams.aggregates import AGGREGATES
-from ..streams.held_window import HELD_AGGREGATES, HeldHoppingWindow, HeldSlidingWindow
+from ..streams.held_value_windows import HELD_AGGREGATES, HeldHoppingWindow, HeldSlidingWindow
 from ..streams.rate_operators import RATE_OPERATORS
 from ..streams.row_pattern import RowPatternWindow, StepClassifier
 from ..streams.row_pattern_automaton import (

@@ -37,16 +37,6 @@ from ...prolog.machine.resource_limits import Meter
 from ...prolog.terms.term_traversal import term_key
 from ...prolog.terms.timestamps import FloatSeconds, lazy_term
 from ...prolog.terms.types import EventAction, Frame, Term, Values, Var
-from ...serialization.field_types import (
-    COUNT,
-    INSTANT,
-    TERM,
-    State,
-    invalid_value,
-    optional,
-    reference,
-    sequence_of,
-)
 from ...serialization.state_fields import (
     StateFields,
     StateOwner,
@@ -55,6 +45,16 @@ from ...serialization.state_fields import (
     part,
     part_state,
     rows_of,
+)
+from ...serialization.stored_field_types import (
+    COUNT,
+    INSTANT,
+    TERM,
+    State,
+    invalid_value,
+    optional,
+    reference,
+    sequence_of,
 )
 from ..dispatch.dispatcher import Dispatcher
 from ..fused.fused_single_event import Continuation

@@ -32,8 +32,8 @@ from ...prolog.terms.term_traversal import copy, freeze, term_key
 from ...prolog.terms.timestamps import SECOND, lazy_term
 from ...prolog.terms.types import Term, Var, atom, deref, functor, functor_of
 from ...prolog.terms.unification import may_unify
-from ...serialization.field_types import CALLABLE_TERM, COUNT, INSTANT, TERM, optional
 from ...serialization.state_fields import StateFields, StateOwner, field, rows_of
+from ...serialization.stored_field_types import CALLABLE_TERM, COUNT, INSTANT, TERM, optional
 from ..language.timer_schedules import TIMER, Schedule, parse_schedule
 
 if TYPE_CHECKING:

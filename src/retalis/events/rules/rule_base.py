@@ -15,8 +15,8 @@ from ...prolog.terms.term_traversal import copy, term_key
 from ...prolog.terms.timestamps import from_seconds
 from ...prolog.terms.types import Functor, Term, Trail
 from ...prolog.terms.unification import unify
-from ...serialization.field_types import COUNT
 from ...serialization.state_fields import StateFields, StateOwner, field
+from ...serialization.stored_field_types import COUNT
 from ..clock.clock import Clock
 from ..dispatch.dispatcher import Dispatcher
 from ..dispatch.event_recording import EventLog

@@ -19,8 +19,8 @@ from operator import attrgetter
 from typing import Any, Callable, Dict, Hashable, Iterator, List, NamedTuple, Optional, Sequence, Tuple
 
 from ...prolog.terms.timestamps import BEFORE_ALL_INSTANTS, SECOND
-from ...serialization.field_types import COUNT, INSTANT
 from ...serialization.state_fields import StateFields, constraint, field
+from ...serialization.stored_field_types import COUNT, INSTANT
 from .stream_operators import (
     ELEMENTS,
     FORBIDDEN_ELEMENTS,

@@ -45,7 +45,7 @@ from ...prolog.terms.list_terms import list_items, make_list
 from ...prolog.terms.term_traversal import term_key
 from ...prolog.terms.timestamps import SECOND
 from ...prolog.terms.types import CONS, NIL, Term, Values, deref
-from ...serialization.field_types import (
+from ...serialization.stored_field_types import (
     COUNT,
     FINITE,
     ORDERED,

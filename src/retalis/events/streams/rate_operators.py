@@ -10,8 +10,8 @@ from collections import OrderedDict
 from typing import Callable, Dict, Hashable, List, NamedTuple, Sequence, Tuple
 
 from ...prolog.terms.term_traversal import SELF_KEYED, term_key
-from ...serialization.field_types import COUNT, INSTANT
 from ...serialization.state_fields import StateFields, constraint, field, rows_of
+from ...serialization.stored_field_types import COUNT, INSTANT
 from .stream_operators import (
     ELEMENT,
     ELEMENTS,

@@ -12,7 +12,7 @@ from typing import Any, Callable, List, NamedTuple, Optional, Tuple
 from ...prolog.terms.list_terms import make_list
 from ...prolog.terms.term_traversal import term_key
 from ...prolog.terms.types import NIL, Term
-from ...serialization.field_types import (
+from ...serialization.stored_field_types import (
     COUNT,
     FINITE,
     INTEGER,

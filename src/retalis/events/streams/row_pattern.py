@@ -25,7 +25,8 @@ from typing import Callable, Container, Dict, Hashable, List, NamedTuple, Option
 
 from ...prolog.terms.timestamps import BEFORE_ALL_INSTANTS
 from ...prolog.terms.types import Term, Values
-from ...serialization.field_types import (
+from ...serialization.state_fields import StateFields, constraint, field, rows_of
+from ...serialization.stored_field_types import (
     COUNT,
     INSTANT,
     FieldType,
@@ -34,7 +35,6 @@ from ...serialization.field_types import (
     sequence_of,
     tuple_of,
 )
-from ...serialization.state_fields import StateFields, constraint, field, rows_of
 from .aggregates import Accumulator
 from .row_pattern_automaton import (
     SCANNING,

@@ -9,7 +9,7 @@ import heapq
 from operator import attrgetter
 from typing import Callable, Dict, Hashable, List, Optional, Sequence, Tuple
 
-from ...serialization.field_types import State
+from ...serialization.stored_field_types import State
 from .aggregates import Accumulator
 from .row_pattern import RowPatternWindow, StepClassifier
 from .row_pattern_automaton import RowPatternNFA, RowPatternSkip

@@ -17,8 +17,8 @@ from typing import Hashable, List, Optional, Sequence, Tuple
 
 from ...foundation.errors import RuleError
 from ...prolog.terms.timestamps import BEFORE_ALL_INSTANTS, MAX_TIMESTAMP
-from ...serialization.field_types import INSTANT
 from ...serialization.state_fields import StateFields, field
+from ...serialization.stored_field_types import INSTANT
 from .aggregates import value_error
 from .stream_operators import StreamElement, StreamOutput
 from .windows import AccumulatorFactory, KeyedWindow, OpenWindow, StoredWindow, Window

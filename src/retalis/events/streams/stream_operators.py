@@ -16,7 +16,8 @@ from ...foundation.errors import RuleError
 from ...prolog.terms.term_traversal import SELF_KEYED, term_key
 from ...prolog.terms.timestamps import BEFORE_ALL_INSTANTS
 from ...prolog.terms.types import Values
-from ...serialization.field_types import (
+from ...serialization.state_fields import ObjectFields, StateOwner, constraint, field
+from ...serialization.stored_field_types import (
     COUNT,
     INSTANT,
     MATCH_VALUE,
@@ -28,7 +29,6 @@ from ...serialization.field_types import (
     reference,
     sequence_of,
 )
-from ...serialization.state_fields import ObjectFields, StateOwner, constraint, field
 
 if TYPE_CHECKING:
     from ...prolog.machine.resource_limits import Meter

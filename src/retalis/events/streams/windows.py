@@ -22,8 +22,8 @@ from typing import Callable, Deque, Dict, Hashable, List, NamedTuple, Optional, 
 from ...foundation.errors import RuleError
 from ...prolog.terms.timestamps import BEFORE_ALL_INSTANTS
 from ...prolog.terms.types import Values
-from ...serialization.field_types import COUNT, INSTANT, NOTHING, State, optional, sequence_of
 from ...serialization.state_fields import StateFields, constraint, field, rows_of
+from ...serialization.stored_field_types import COUNT, INSTANT, NOTHING, State, optional, sequence_of
 from .aggregates import Accumulator, present_elements, value_error
 from .running_statistics import LazyMinHeap
 from .stream_operators import (

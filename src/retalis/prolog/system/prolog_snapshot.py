@@ -8,7 +8,8 @@ contain no code: compiled code is generated again by the system that restores th
 from typing import Any, Dict, List, NamedTuple, Optional, Union
 
 from ...foundation.source_places import Place
-from ...serialization.field_types import (
+from ...serialization.state_fields import record_of
+from ...serialization.stored_field_types import (
     ANYTHING,
     BOOLEAN,
     CALLABLE_TERM,
@@ -28,7 +29,6 @@ from ...serialization.field_types import (
     sequence_of,
     with_path,
 )
-from ...serialization.state_fields import record_of
 from ..builtins.clause_predicates import declare_tabled
 from ..builtins.flags_operators_modules import restored_flags
 from ..builtins.tabling import StoredTable, tables_of

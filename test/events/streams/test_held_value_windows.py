@@ -8,8 +8,8 @@ from events.streams.operator_driver import Arrival, element_of
 from recording_reports import RecordingReports
 
 from retalis import Engine, ProgramErrors, StreamClock
-from retalis.events.streams import held_window
-from retalis.events.streams.held_window import HELD_AGGREGATES, HeldHoppingWindow, HeldSlidingWindow
+from retalis.events.streams import held_value_windows
+from retalis.events.streams.held_value_windows import HELD_AGGREGATES, HeldHoppingWindow, HeldSlidingWindow
 from retalis.events.streams.stream_operators import KeyBounds
 from retalis.prolog.terms.timestamps import SECOND
 
@@ -148,7 +148,7 @@ def process(window: Any, key: str, end: int, value: int) -> List[Any]:
 
 
 def test_number_of_results_without_new_value_is_limited(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(held_window, "MAX_HELD_STEPS", 50)
+    monkeypatch.setattr(held_value_windows, "MAX_HELD_STEPS", 50)
     window = HeldHoppingWindow(create_measures, 2, 2, None)
     process(window, "a", 0, 1)
     assert len(window.advance_to(1 << 60)) == 50

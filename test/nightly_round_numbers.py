@@ -5,7 +5,7 @@ from typing import Any, List
 import pytest
 
 
-def search_rounds(push: int, nightly: int) -> List[Any]:
+def round_numbers(push: int, nightly: int) -> List[Any]:
     """Return the numbers below ``nightly`` as parameters; those from ``push`` on are marked as nightly."""
     return [
         number if number < push else pytest.param(number, marks=pytest.mark.nightly)

@@ -19,8 +19,8 @@ from typing import Callable, Dict, Hashable, List, NamedTuple, Optional, Sequenc
 
 from ...prolog.terms.timestamps import BEFORE_ALL_INSTANTS, MAX_TIMESTAMP, SECOND
 from ...prolog.terms.types import Term, Values
-from ...serialization.field_types import INSTANT, State
 from ...serialization.state_fields import StateFields, constraint, field
+from ...serialization.stored_field_types import INSTANT, State
 from .aggregates import COMPARABLE_NUMBER, FINITE_NUMBER, Accumulator
 from .running_statistics import ExactSum, LazyMinHeap
 from .stream_operators import ELEMENTS, KeyBounds, StreamElement, StreamOutput
