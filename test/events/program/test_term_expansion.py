@@ -43,6 +43,20 @@ def test_endless_goal_expansion_omits_clause(expansion: str) -> None:
     assert program.engine.call("p(1)")
 
 
+@pytest.mark.parametrize(
+    "expansion",
+    [
+        "goal_expansion(a, X) :- X = (b, X).",
+        "goal_expansion(b, c). term_expansion((q :- a), (q :- X)) :- X = (b, X).",
+    ],
+)
+def test_goal_that_contains_itself_omits_clause(expansion: str) -> None:
+    program = ProgramRunner(f"{expansion} p(1). q :- a.")
+    (warning,) = program.warnings
+    assert "the term contains itself" in warning.message
+    assert program.engine.call("p(1)")
+
+
 def test_goals_of_long_body_are_expanded() -> None:
     body = ", ".join(["old"] * 3000)
     program = ProgramRunner(f"goal_expansion(old, new). new. p :- {body}.")

@@ -12,6 +12,7 @@ from ...foundation.errors import RuleError
 from ...foundation.source_places import Place
 from ...prolog.system.prolog_system import PrologSystem
 from ...prolog.terms.list_terms import list_items
+from ...prolog.terms.term_traversal import require_acyclic
 from ...prolog.terms.types import COMMA, Atom, Functor, Term, Var, deref, functor
 
 _IF, _ELIF = functor("if", 1), functor("elif", 1)
@@ -147,6 +148,7 @@ class TermExpansion:
         Raises:
             PrologError: the error of the program's predicate.
             RuleError: if an expansion does not end.
+            TermTooLarge: if a goal contains itself.
         """
         term = deref(term)
         if term.__class__ is not tuple or not self._is_defined(_GOAL_EXPANSION):
@@ -170,7 +172,9 @@ class TermExpansion:
 
         Raises:
             RuleError: if an expansion does not end.
+            TermTooLarge: if a goal contains itself, so that its inner goals have no end.
         """
+        require_acyclic(original)
         # A stack, because the goals of a long body are nested in each other.
         stack = [self._start_expansion(original, 0)]
         while True:
@@ -203,6 +207,7 @@ class TermExpansion:
                 raise RuleError(
                     f"goal_expansion/2 does not end: it goes on expanding {self._logic.brief(goal)}"
                 )
+            require_acyclic(result)
             goal = deref(result)
         return _ExpandedGoal(original if expansion_count == outer_count else goal, goal, expansion_count)
 
