@@ -274,3 +274,12 @@ def test_number_of_recent_robots_is_limited(monkeypatch: pytest.MonkeyPatch) -> 
         ("r3", 0, ""),
         ("r4", 0, ""),
     ]
+
+
+def test_robots_do_not_accumulate_in_restarts(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(flink_job, "RECENT_LINES", 2)
+    store = Store()
+    for number in range(7):
+        check(open_lines(store), store, f"r{number}")
+    robots = [element[0] for element in check(open_lines(store), store, "r7")]
+    assert robots == ["r4", "r5", "r6", "r7"]

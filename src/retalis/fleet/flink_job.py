@@ -160,6 +160,8 @@ class RecentRobots:
     def restore(self) -> Iterator[Any]:
         """Yield an element for each stored robot; called before the first line of a process."""
         self._names = dict.fromkeys(self._newest.get())
+        # The number of lines is not stored. Counted from 0, the names of a job that restarts often would accumulate.
+        self._line_count = len(self._names)
         for name in {**dict.fromkeys(self._previous.get()), **self._names}:
             yield name, 0, ""
 

@@ -38,7 +38,7 @@ class Cache(Dict[Key, Value]):
         self.total_bytes = 0
 
     def store(self, key: Key, value: Value, size: int) -> Value:
-        """Store the value of a key, unless their size in bytes is too large; return the value."""
+        """Store the value of a key, unless both together, ``size`` bytes, are too large; return the value."""
         # A cache of many tiny entries would otherwise take a multiple of its limit.
         size += ENTRY_BYTES
         if size <= self.max_entry_bytes:

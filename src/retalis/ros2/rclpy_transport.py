@@ -542,7 +542,7 @@ def read_node_parameters(node: Node) -> Dict[str, Any]:
 
 
 def nest_parameters(parameters: Mapping[str, Any]) -> Dict[str, Any]:
-    """Return parameters that have a value as nested dictionaries.
+    """Return parameters that have a value as nested dictionaries; points in their names separate the groups.
 
     Raises:
         UsageError: if a parameter is both a value and a group.

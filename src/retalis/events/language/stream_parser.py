@@ -490,7 +490,7 @@ def timeout_term(pattern: AbsencePattern) -> Term:
 
 
 def window_term(window: WindowSpec, to_seconds: Callable[[int], float] = timestamps.to_seconds) -> Term:
-    """Return the term of a window."""
+    """Return the term of a window; ``to_seconds`` converts ns to the numbers in it."""
     if window.kind == "steps":
         row_pattern = row_pattern_term(window)
         return _TIMED_OUT(row_pattern, to_seconds(window.span)) if window.span else row_pattern

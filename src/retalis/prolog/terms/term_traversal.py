@@ -376,7 +376,7 @@ def copy(term: Term, fresh: Optional[Dict[Var, Term]] = None) -> Term: ...
 
 
 def copy(term: Term, fresh: Optional[Dict[Var, Term]] = None) -> Term:
-    """Return ``term`` with new variables for its unbound ones; ``fresh`` maps old ones to new ones."""
+    """Return ``term`` with new variables for its unbound ones; ``fresh`` maps old to new ones, and is extended."""
     term_class = term.__class__
     while term_class is Var:
         ref: Any = term.ref  # type: ignore[union-attr]

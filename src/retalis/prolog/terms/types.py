@@ -239,10 +239,9 @@ Frame = Tuple[Any, ...]
 """A continuation, ``(code, argument..., next)``: a step with its arguments, and the frame that follows it.
 
 The first item is the code, which defines the types of the arguments: a `Code`, a predicate, or any other object whose
-attribute ``run`` is a `Step`. The last item is a frame, or None in the
-frame that ends a run. A choice point is a frame with one more item, the length of the trail. A step that fails has no
-next frame, so functions that can fail return ``Optional[Frame]``. Classes for frames would be more explicit, and
-would make every step slower.
+attribute ``run`` is a `Step`. The last item is a frame, or None in the frame that ends a run. A choice point is a
+frame with one more item, the length of the trail. A step that fails has no next frame, so functions that can fail
+return ``Optional[Frame]``. Classes for frames would be more explicit, and would make every step slower.
 """
 
 Step = Callable[[Frame], Optional[Frame]]
