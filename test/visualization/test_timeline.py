@@ -75,6 +75,21 @@ def test_run_has_lane_for_each_name() -> None:
     assert read_records([]).lanes == []
 
 
+@pytest.mark.parametrize(
+    ("event", "name"),
+    [
+        (r"'it\'s'(1)", "it's"),
+        ("'it''s'", "it's"),
+        (r"'a\\b'(1)", r"a\b"),
+        (r"'no \q escape'(1)", r"'no \q escape'"),
+        ("'", "'"),
+    ],
+)
+def test_lane_has_name_without_quotes_and_escapes(event: str, name: str) -> None:
+    run = read_records([{"event": event, "start": SECOND, "end": SECOND}])
+    assert [lane.name for lane in run.lanes] == [name]
+
+
 def test_long_run_is_thinned_evenly() -> None:
     builder = TimelineBuilder()
     count = 2 * MAX_MARKS + 7

@@ -12,6 +12,7 @@ import json
 import logging
 import re
 import warnings
+from contextlib import suppress
 from pathlib import Path
 from typing import (
     Any,
@@ -41,6 +42,7 @@ from ..engine.run_records import (
 from ..foundation.displayed_text import format_count, printable, printable_json, shorten
 from ..foundation.errors import UsageError, install_hint
 from ..foundation.output_files import replace_file
+from ..prolog.syntax.literals import unquote
 from ..prolog.terms import timestamps
 from ..prolog.terms.timestamps import SECOND
 
@@ -309,9 +311,14 @@ def _check_instant(value: object, name: str) -> int:
 
 
 def _get_functor_name(term: str) -> str:
-    """Return the functor name in the text of a term, without the package of a message."""
+    """Return the functor name in the text of a term, without quotes, escapes, and the package of a message."""
     match = _FUNCTOR_NAME.match(term)
-    return "" if match is None else match.group().rpartition("__0__")[2].strip("'")
+    name = "" if match is None else match.group()
+    if len(name) > 1 and name[0] == name[-1] == "'":
+        # Lines of a file can contain invalid escapes, which are shown as they are.
+        with suppress(ValueError):
+            name = unquote(name[1:-1], "'")
+    return name.rpartition("__0__")[2]
 
 
 PICTURE_FORMATS = ("png", "svg", "pdf")
