@@ -78,6 +78,15 @@ def test_term_of_another_type_is_reported(network: MemoryNetwork, topics: Topics
     assert (network.publications["/speech"][0].messages, topics.reports.errors) == ([], 1)
 
 
+def test_invalid_topic_is_logged_once(topics: Topics, caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level("INFO")
+    topics.publish(TEXT, "front door")
+    topics.publish(TEXT, "front door")
+    assert topics.reports.errors == 0
+    (message,) = caplog.messages
+    assert message.startswith("topic front door has no type")
+
+
 def test_topic_has_one_type(topics: Topics) -> None:
     topics.advertise("speech", "std_msgs/String")
     topics.advertise("speech", "std_msgs/String")

@@ -200,10 +200,15 @@ class PublishedTopics:
     def publish(self, term: Term, topic: str) -> None:
         """Publish a term as a message; a term that does not fit the topic's type is reported and not published.
 
-        Outputs to a topic without a type exist only as text.
+        Outputs to a topic without a type exist only as text. A topic with an invalid name has none; the checks of a
+        program report the subscriptions to it.
         """
         try:
             name = self._transport.resolve_topic(topic)
+        except UsageError:
+            self._report_unpublished(topic, None)
+            return
+        try:
             typed_topic = self._typed.get(name)
             if typed_topic is None:
                 unadvertised = self._unadvertised.get(name)

@@ -268,6 +268,16 @@ def test_advice_for_invalid_topic_is_its_fault(tmp_path: Path, definitions: Defi
     assert message.endswith("found 'front door': ' ' is not allowed in it")
 
 
+def test_each_subscription_to_invalid_topic_is_reported(tmp_path: Path, definitions: Definitions) -> None:
+    (tmp_path / "pub_sub.xml").write_text("<publish_subscribe/>")
+    (tmp_path / "goalPredicates.txt").write_text(
+        "subscribe(a(X), [], _, 'front door', s1)\nsubscribe(b, [], _, 'front door', s2)\n"
+    )
+    findings = check_program(tmp_path, definitions)
+    places = [finding.problem.place for finding in findings if finding.problem.code == "RT1102"]
+    assert [place and place.line for place in places] == [1, 2]
+
+
 def test_exchanged_topic_and_id_are_named(tmp_path: Path, definitions: Definitions) -> None:
     (tmp_path / "pub_sub.xml").write_text(
         '<publish_subscribe><publish_to name="warn" msg_type="my_msgs/Flag"/></publish_subscribe>'

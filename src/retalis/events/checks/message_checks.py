@@ -353,7 +353,7 @@ def _constant_text(term: Term) -> str:
 
 
 def find_untyped_topics(program: ProgramModel) -> Iterator[RuleError]:
-    """Yield topics of subscriptions that have no message type."""
+    """Yield topics that have no message type, each once, and each subscription to a topic with an invalid name."""
     published = [strip_slashes(topic) for topic, _ in program.topics.published]
     forwarded = [strip_slashes(topic) for topic in program.topics.forwarded]
     reported: Set[str] = set()
@@ -365,9 +365,10 @@ def find_untyped_topics(program: ProgramModel) -> Iterator[RuleError]:
             or any(fnmatchcase(name, pattern) for pattern in forwarded)
         ):
             continue
-        reported.add(topic)
-        # An element of `pub_sub.xml` cannot help a name that ROS does not allow.
+        # An element of `pub_sub.xml` cannot help a name that ROS does not allow: each subscription has to be changed.
         fault = topic_fault(topic)
+        if fault is None:
+            reported.add(topic)
         yield RuleError(
             f"topic {shorten(topic)} has no type: its events are published only as text on retalisOutputEvents"
             + (f"; {fault}" if fault else _advise_topic(program, subscription, topic, published)),
