@@ -533,7 +533,7 @@ class JoinNode(NetworkNode):
         if result is None:
             return frame
         if self.operator.joins_all_left:
-            # The right operand may have further left ones.
+            # The right operand may be joined with further left ones.
             left.discard()
         elif options.policy.consumes_partners:
             left.discard()
