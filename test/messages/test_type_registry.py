@@ -291,6 +291,21 @@ def test_types_of_rosbags_are_found() -> None:
     assert "pkg/Type" not in registry
 
 
+def test_type_that_only_ros2_has_is_not_misspelt() -> None:
+    pytest.importorskip("rosbags")
+    definitions = Definitions(InstalledTypes([], []))
+    names = ["geometry_msgs/VelocityStamped", "geometry_msgs/TwistStampd", "geometry_mgs/TwistStamped"]
+    similar = "geometry_msgs/TwistStamped"
+    assert [definitions.misspelt(name) for name in names] == ["", similar, similar]
+
+
+def test_types_of_installed_package_are_complete(tmp_path: Path) -> None:
+    (tmp_path / "geometry_msgs" / "msg").mkdir(parents=True)
+    (tmp_path / "geometry_msgs" / "msg" / "Vector3Stamped.msg").write_text("int32 x\n")
+    definitions = Definitions(InstalledTypes([str(tmp_path)], []))
+    assert definitions.misspelt("geometry_msgs/VelocityStamped") == "geometry_msgs/Vector3Stamped"
+
+
 def test_types_of_rosbags_are_listed() -> None:
     pytest.importorskip("rosbags")
     installed = InstalledTypes([], [])

@@ -759,7 +759,10 @@ class Definitions:
             )
         # The last arguments are minimum similarities, from 0 to 1.
         for candidate in dict.fromkeys([package, *get_close_matches(package, packages, 3, 0.8)]):
-            matches = self._find_most_similar(candidate, type_name, 0.7)
+            # A package that is not installed has types that rosbags does not know, with names like those that it
+            # knows: geometry_msgs/VelocityStamped of ROS 2, and Vector3Stamped.
+            cutoff = 0.7 if self._installed.has_package(candidate) else 0.8
+            matches = self._find_most_similar(candidate, type_name, cutoff)
             if matches and (candidate == package or matches[0] == type_name):
                 return f"{candidate}/{matches[0]}"
         return ""
