@@ -43,6 +43,20 @@ def test_patterns_and_intervals_are_explained(run_events: Any) -> None:
     assert "    - but no match has that interval" in lines
 
 
+def test_requested_interval_is_relative_if_times_are(run_events: Any) -> None:
+    stream = "event(x(1),[1000,1000]).\nevent(x(2),[1005,1005]).\nevent(x(3),[990,1006.5]).\n"
+    requests = [
+        "event(y(2),[5,5])",
+        "event(y(2),[5.0,5.0])",
+        "event(y(3),[0,6.5])",
+        "event(y(2),[1005,1005])",
+    ]
+    options = [option for request in requests for option in ("--explain", request)]
+    lines = run_events("--times=relative", *options, rules="y(V) <- x(V).\n", stream=stream)[1]
+    results = [line.split(" ", 2)[2] for line in lines if line.startswith("% event")]
+    assert results == ["happened", "happened", "happened", "did not happen"]
+
+
 @pytest.mark.parametrize(
     ("rule", "reason"),
     [

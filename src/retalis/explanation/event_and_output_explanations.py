@@ -90,7 +90,7 @@ def explain(
     Args:
         engine: engine that has run with the flag ``etalis_justification`` (`record_origins`).
         asked: the event as a term or its text, with variables for unknown arguments; or ``event(TERM,[T1,T2])`` to
-            specify the interval as well.
+            specify the interval as well. With ``origin``, numbers are seconds relative to it, as in the lines.
         seconds: time limit in seconds, during which the engine processes no events; None for no limit.
         origin: show times in seconds relative to this time, in nanoseconds since the epoch; None for absolute times.
 
@@ -140,7 +140,8 @@ def explain_briefly(engine: Engine, event: Term, origin: int) -> List[str]:
 
 def event_request(term: Term, start: int, end: int) -> Term:
     """Return the request for `explain` of the event with an interval, in nanoseconds since the epoch."""
-    return (_EVENT_FUNCTOR, term, timestamps.interval_term(start, end))
+    # Without the forms of the stamps: numbers could be read as relative times.
+    return (_EVENT_FUNCTOR, term, timestamps.interval_term(int(start), int(end)))
 
 
 def _create_time_check(end: float, seconds: float) -> Callable[[int, int], None]:
@@ -218,7 +219,7 @@ class DerivationTrees:
 
 def _explain_request(program: LoadedProgram, request: Term, reference_time: Optional[int]) -> Explanation:
     """Return the explanation of a request; see ``asked`` and ``origin`` of `explain`."""
-    event, interval = _parse_request(request)
+    event, interval = _parse_request(request, reference_time)
     recorded = program.rules.network.tracker.remembered_events()
     texts = ExplanationTexts(program.logic.operators, reference_time, recorded)
     subscriptions = program.knowledge.subscriptions.items()
@@ -252,16 +253,24 @@ def _find_occurrences(
         () if interval is None else program.rules.network.tracker.occurrences_of(event)
     )
     candidates = indexed or [occurrence for occurrence in recorded if may_unify(occurrence.term, event)]
-    return [occurrence for occurrence in candidates if interval in (None, (occurrence.start, occurrence.end))]
+    return [
+        occurrence
+        for occurrence in candidates
+        if interval is None or interval.equals(occurrence.start, occurrence.end)
+    ]
 
 
-def _parse_request(request: Term) -> Tuple[Term, Optional[RequestedInterval]]:
-    """Return the event of a request, and its interval in ns or None; see ``asked`` of `explain`."""
+def _parse_request(request: Term, reference_time: Optional[int]) -> Tuple[Term, Optional[RequestedInterval]]:
+    """Return the event of a request, and its interval or None; see ``asked`` and ``origin`` of `explain`."""
     request = deref(request)
     if request.__class__ is tuple and request[0] is _EVENT_FUNCTOR:
         stamps = list_items(request[2])
         if stamps is not None and len(stamps) == 2:
-            return deref(request[1]), (timestamps.from_term(stamps[0]), timestamps.from_term(stamps[1]))
+            start, end = map(timestamps.from_term, stamps)
+            if reference_time is None or not all(deref(stamp).__class__ in (int, float) for stamp in stamps):
+                return deref(request[1]), RequestedInterval(start, end)
+            interval = RequestedInterval(start + reference_time, end + reference_time, reference_time)
+            return deref(request[1]), interval
         raise UsageError("expected event(TERM,[T1,T2])")
     if request.__class__ not in (Atom, tuple):
         type_name = "a variable" if request.__class__ is Var else "a number or string"

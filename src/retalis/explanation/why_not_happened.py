@@ -1,6 +1,6 @@
 """Why-not provenance of events: the rules and states that could have raised an event, and what they lack."""
 
-from typing import TYPE_CHECKING, Any, Dict, List, Optional, Sequence, Tuple, Union
+from typing import TYPE_CHECKING, Any, Dict, List, NamedTuple, Optional, Sequence, Tuple, Union
 
 from ..engine.loaded_items import LoadedProgram
 from ..events.checks.program_model import MIN_SIMILARITY
@@ -22,11 +22,27 @@ from .why_not_published import WhyNotPublished
 if TYPE_CHECKING:
     from .event_and_output_explanations import DerivationTrees
 
-RequestedInterval = Tuple[int, int]
-"""Start and end, in nanoseconds, of the event that is explained."""
-
 EventSource = Union[EventRule, DeclaredState]
 """Part of a program that raises events."""
+
+
+class RequestedInterval(NamedTuple):
+    """Interval of the event that is explained, in nanoseconds since the epoch.
+
+    Attributes:
+        start: start time.
+        end: end time.
+        earliest: an earlier stamp counts as this one, as in relative times that are printed.
+    """
+
+    start: int
+    end: int
+    earliest: int = -timestamps.MAX_TIMESTAMP
+
+    def equals(self, start: int, end: int) -> bool:
+        """Return whether an event has the interval."""
+        return self[:2] == (max(start, self.earliest), max(end, self.earliest))
+
 
 _COMMA_FUNCTOR = functor(",", 2)
 _ALARM_FUNCTORS = frozenset((functor("exceptionAlarm", 2), functor("exceptionAlarmAbsoluteDatime", 2)))
@@ -245,8 +261,8 @@ class WhyNotHappened:
 def _explain_no_firing(rule: EventRule, part: PartResult, interval: Optional[RequestedInterval]) -> str:
     """Return why a rule did not fire although all parts of its pattern matched."""
     has_window = any(isinstance(subpattern, WindowPattern) for subpattern in walk(rule.definition.pattern))
-    has_interval = any((match.start, match.end) == interval for match in part.matches)
-    if interval is not None and not has_window and not has_interval:
+    has_interval = interval is None or any(interval.equals(match.start, match.end) for match in part.matches)
+    if not has_window and not has_interval:
         return "no match has that interval"
     if rule.window is not None and all(match.end - match.start > rule.window for match in part.matches):
         seconds = format_number(timestamps.to_seconds(rule.window))
