@@ -245,6 +245,11 @@ def test_description_has_state_and_counters(changes: Any, state: str) -> None:
     assert describe_forwarding(status) == f"{state}, {counters}"
 
 
+def test_description_has_storage_problem() -> None:
+    text = describe_forwarding(STATUS._replace(unstored=2, storage_problem="disk full"))
+    assert text.endswith(", 2 lost; events cannot be stored: disk full")
+
+
 def test_list_has_state_of_forwarding(network: MemoryNetwork, program: Path) -> None:
     host = start_host(network, program, **parameters(program, "fleet"))
     state = network.call("/retalis/list", most=0)["forwarding"]

@@ -121,9 +121,11 @@ def describe_forwarding(status: ForwardingStatus) -> str:
         else f"not connected to {status.broker}{reason}"
     )
     size = f"{status.used_bytes / 1e6:.1f} of {status.max_bytes / 1e6:.0f} MB"
+    storage = status.storage_problem
+    storage_text = f"; events cannot be stored: {printable(shorten(storage))}" if storage else ""
     return (
         f"{state} for {duration}, {format_count(status.queued, 'event')} queued ({size}), "
-        f"{status.confirmed} forwarded, {status.lost} lost"
+        f"{status.confirmed} forwarded, {status.lost} lost{storage_text}"
     )
 
 
