@@ -159,6 +159,14 @@ def test_robot_of_folder_is_no_column(command: List[str], tmp_path: Path) -> Non
     assert Path("out/robot=r1/a.csv").read_text().startswith('"bag","incomplete",')
 
 
+@pytest.mark.parametrize("bag", ["misspelt", "memory://misspelt"])
+def test_missing_input_is_reported_before_robot(command: List[str], bag: str, capfd: Any) -> None:
+    if bag.startswith("memory"):
+        pytest.importorskip("fsspec")
+    assert main(["bag", bag, *command[2:], "--output", "out"]) == 1
+    assert capfd.readouterr().err == f"retalis: {bag}: there is no such file or folder\n"
+
+
 @pytest.mark.slow
 def test_results_at_url_are_in_partitions(command: List[str], tmp_path: Path, capfd: Any) -> None:
     pytest.importorskip("fsspec")

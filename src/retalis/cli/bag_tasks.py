@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Deque, Dict, List, Mapping, NamedTuple, O
 
 from ..foundation.errors import UsageError
 from ..playback.bag_locations import BagLocation, is_url, location_exists
+from ..playback.rosbag1 import BagError
 from ..playback.run_tables import TABLE_TYPES
 from .many_bags_options import select_format, single_bag_options
 from .result_manifest import MANIFEST_FOLDER, ResultManifest, compute_inputs
@@ -70,7 +71,8 @@ def create_tasks(
     """Return all tasks in order, and the numbers of the tasks that can start: the first parts of recordings.
 
     Raises:
-        UsageError: if two results would have the same name, or a result exists already.
+        UsageError: if two results would have the same name, a result exists already, or a robot is unknown.
+        BagError: if a bag whose robot is unknown does not exist.
     """
     result_format = select_format(options)
     bag_options = _shared_bag_options(options)
@@ -84,7 +86,7 @@ def create_tasks(
     for bags in recordings:
         ready.append(len(tasks))
         for position, bag in enumerate(bags):
-            robot = None if options.robot is None else find_robot(options.robot, bag.location)
+            robot = None if options.robot is None else _find_robot(options.robot, bag.location)
             task = BagTask(
                 location=_shared_path(options, bag.location),
                 # Printed output is collected in temporary files, so that it can be printed in the order of the bags.
@@ -103,6 +105,17 @@ def create_tasks(
                 task = task._replace(target=manifest.target, manifest=manifest)
             tasks.append(task)
     return tasks, ready
+
+
+def _find_robot(pattern: str, location: str) -> str:
+    """Return the name of the robot of a bag; see `find_robot`."""
+    try:
+        return find_robot(pattern, location)
+    except UsageError:
+        # A misspelt folder or bucket is the cause, not the pattern.
+        if not location_exists(location):
+            raise BagError(f"{location}: there is no such file or folder") from None
+        raise
 
 
 def _shared_path(options: argparse.Namespace, path_or_url: str) -> str:
