@@ -31,7 +31,7 @@ cases:
       events: {contains: [high(4), high(5)]}
       state: [{at: 0.1, query: "memory_counter(levels, N)", expect: {N: 1}}]
   - name: wrong
-    until: 0.5
+    until: 2
     input: [{at: 0, event: level(6)}]
     expect:
       outputs: {none: [std_msgs__0__Int8(6)]}

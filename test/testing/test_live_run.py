@@ -154,6 +154,18 @@ def test_output_after_end_is_missing(definitions: Definitions) -> None:
     assert failure == "mine_test.yaml:2: outputs: 1 not found as expected\n  -             a"
 
 
+def test_output_during_long_action_is_compared(definitions: Definitions) -> None:
+    class BusyNode(ScriptedNode):
+        def send_event(self, text: str) -> None:
+            # Returns after the end of the case.
+            super().send_event(text)
+            self._time = 6 * SECOND
+
+    node = BusyNode((1, output("a")), (5, output("b")))
+    keys = "until: 4, input: [{at: 0, event: f}], expect: {outputs: [a]}"
+    assert run(node, definitions, keys).failures == ()
+
+
 def test_expectations_of_outputs_and_events_are_separate(definitions: Definitions) -> None:
     node = ScriptedNode(
         (1, output("high(4)", "retalis_watch_7")),
