@@ -1,10 +1,12 @@
-"""Checks of the names of variables: constants that were probably meant as variables."""
+"""Checks of the names of variables: constants that were probably meant as variables, and the reverse."""
 
+from pathlib import Path
 from typing import List
 
 import pytest
 
 from retalis import Definitions, Engine
+from retalis.engine.program_check import check_program
 from retalis.events.checks.program_model import ProgramModel
 from retalis.events.checks.variable_name_checks import find_constants_meant_as_variables
 from retalis.events.program.topic_configuration import Topics
@@ -49,3 +51,37 @@ def test_constant_meant_as_variable_is_reported(rules: str, name: str) -> None:
 )
 def test_constant_that_is_known_is_not_reported(rules: str) -> None:
     assert constants_of(rules) == []
+
+
+@pytest.mark.parametrize(
+    ("rule", "constant"),
+    [
+        (
+            "full <- sensor_msgs__0__BatteryState{power_supply_status: S} where S == {POWER_SUPPLY_STATUS_FULL}.",
+            "sensor_msgs__0__BatteryState{POWER_SUPPLY_STATUS_FULL}",
+        ),
+        (
+            "full <- sensor_msgs__0__BatteryState{power_supply_status: S} where S =:= POWER_SUPPLY_STATUS_FULL.",
+            "sensor_msgs__0__BatteryState{POWER_SUPPLY_STATUS_FULL}",
+        ),
+        (
+            "broken <- diagnostic_msgs__0__DiagnosticArray{status: [{level: L}|_]} where L == {ERROR}.",
+            "diagnostic_msgs__0__DiagnosticStatus{ERROR}",
+        ),
+    ],
+)
+def test_constant_of_message_in_condition_is_suggested(
+    tmp_path: Path, definitions: Definitions, rule: str, constant: str
+) -> None:
+    (tmp_path / "rules.txt").write_text(rule)
+    findings = check_program(tmp_path / "rules.txt", definitions)
+    (message,) = [finding.problem.message for finding in findings if finding.problem.code == "RT1406"]
+    assert message.endswith(f"write {constant}")
+
+
+def test_unknown_name_in_condition_is_no_constant(tmp_path: Path, definitions: Definitions) -> None:
+    rule = "full <- sensor_msgs__0__BatteryState{power_supply_status: S} where S == {STATUS_FULL}."
+    (tmp_path / "rules.txt").write_text(rule)
+    findings = check_program(tmp_path / "rules.txt", definitions)
+    (message,) = [finding.problem.message for finding in findings if finding.problem.code == "RT1406"]
+    assert message.startswith("STATUS_FULL occurs only here")

@@ -1,8 +1,10 @@
 """Checks of the names of variables: those that occur once, and constants that were probably meant as variables."""
 
+from collections import deque
 from typing import Any, Dict, Iterator, List, Set, Tuple
 
 from ...foundation.errors import RuleError
+from ...messages.type_definition import Definition
 from ...prolog.machine.arithmetic import EVALUABLE
 from ...prolog.terms.types import (
     Atom,
@@ -45,13 +47,16 @@ def find_singletons(program: ProgramModel) -> Iterator[RuleError]:
 
 def _explain_variable_as_constant(program: ProgramModel, name: str, variable: Subterm) -> str:
     """Return the finding for a variable that was probably meant as a constant or as a bound value, or ""."""
+    definition = program.message_of(variable.parent)
+    matches = f"{name} is a variable, which matches every value"
+    owner = None if definition is not None else program.derive(_messages_by_constant).get(name)
+    if owner is not None:
+        return f"{name} is a variable: for the constant of {owner.name} write {owner.functor_name}{{{name}}}"
     if variable.parent[0] in NUMERIC_COMPARISONS or variable.parent[0] in EVALUABLE:
         return (
             f"nothing binds {name}: a misspelt name? The start and the end of a match are S and E in "
             f"check (t1(S), t2(E), E - S > 1)"
         )
-    definition = program.message_of(variable.parent)
-    matches = f"{name} is a variable, which matches every value"
     if definition is not None:
         slot = definition.fields[variable.position - 1]
         for constant in definition.constants:
@@ -67,6 +72,28 @@ def _explain_variable_as_constant(program: ProgramModel, name: str, variable: Su
     if len(name) > 1 and word in constants.get((variable.parent[0], variable.position), ()):
         return f"{matches}: for the constant write {word}; otherwise write _{name} or _"
     return ""
+
+
+def _messages_by_constant(program: ProgramModel) -> Dict[str, Definition]:
+    """Return the first message type with each constant, of the types in the program and in their slots."""
+    # A dictionary, because it keeps the order of the program.
+    types: Dict[str, Definition] = {}
+    for subterm in program.all_subterms():
+        definition = program.message_of(subterm.term)
+        if definition is not None:
+            types.setdefault(definition.name, definition)
+    waiting = deque(types.values())
+    messages: Dict[str, Definition] = {}
+    while waiting:
+        definition = waiting.popleft()
+        for constant in definition.constants:
+            if not constant.problem:
+                messages.setdefault(constant.name, definition)
+        for slot in definition.fields:
+            if slot.definition is not None and slot.definition.name not in types:
+                types[slot.definition.name] = slot.definition
+                waiting.append(slot.definition)
+    return messages
 
 
 def find_constants_meant_as_variables(program: ProgramModel) -> Iterator[RuleError]:
