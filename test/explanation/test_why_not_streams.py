@@ -218,11 +218,31 @@ def test_long_value_is_shortened() -> None:
     assert lines[0].endswith(" ... at 1")
 
 
-def test_replay_of_newest_events_is_mentioned() -> None:
-    rule = "w(N) <- aggregate(count, in(_), N, last(1000)) where N > 900."
-    for count, is_mentioned in ((199, False), (300, True)):
-        lines = explanation_lines(rule, [(f"in({second})", second) for second in range(count)], "w(_)")
-        assert any("the newest 200 events only" in line for line in lines) is is_mentioned, lines
+def test_windows_of_many_events_have_their_intervals() -> None:
+    rule = "w(N) <- aggregate(count, in(_), N, last(250)) where N > 900."
+    lines = explanation_lines(rule, [(f"in({second})", second) for second in range(260)], "w(_)")
+    assert lines[1].endswith("; N = 250 [9,258]; N = 250 [10,259]")
+
+
+def test_windows_of_omitted_events_are_not_shown(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(why_not_matched, "MAX_MATCHES", 6)
+    rule = "w(N) <- aggregate(count, in(_), N, last(5)) where N > 9."
+    events = [(f"in({second})", second) for second in range(8)]
+    assert "matches only" not in explanation_lines(rule, events[:6], "w(_)")[1]
+    lines = explanation_lines(rule, events, "w(_)")
+    assert lines[1] == "+ aggregate over last(5.0) (run again over the newest 6 matches only): N = 5 [3,7]"
+    lines = explanation_lines(rule.replace("last(5)", "every(2, events)"), events, "w(_)")
+    assert "not tested, because the omitted ones" in lines[1]
+
+
+def test_first_false_goal_of_conjunction_is_shown() -> None:
+    rules = ":- state(on, from(start), until(stop)).\n"
+    rules += "w <- in(X) check (t1(S), Y is X * 2, Y > 2, holds(on), S > 9)."
+    lines = explanation_lines(rules, STREAM, "w")
+    assert lines[1:3] == [
+        "- Y > 2: false for Y = 2 at 1",
+        "- holds(on): false at 2 (with the states that hold now)",
+    ]
 
 
 @pytest.mark.slow

@@ -4,10 +4,10 @@ Each part of a pattern is evaluated over all recorded events as if no event were
 parts with one of three states: the part matched, it did not match, or it was not tested because a part below it did
 not match. The lowest parts that did not match are the missing ones.
 
-A part keeps its newest `MAX_CANDIDATES` matches, by their ends, because the number of combinations would grow
-exponentially with the depth of the pattern. Windows and other stream operators are evaluated by new operators over
-these matches. A result that the rule's own window computed from older matches can differ; the text of the part says
-so.
+A part keeps its newest `MAX_MATCHES` matches, by their ends. Operators that combine the matches of two parts use the
+newest `MAX_CANDIDATES` of each, because the number of combinations would grow exponentially with the depth of the
+pattern. Windows and other stream operators are evaluated by new operators over the matches that were kept. If older
+ones were not, the text of a window says so, and results to which they may belong are omitted.
 """
 
 from contextlib import closing
@@ -17,6 +17,7 @@ from typing import (
     Any,
     Callable,
     Dict,
+    Hashable,
     Iterator,
     List,
     NamedTuple,
@@ -46,6 +47,7 @@ from ..events.language.pattern_tree import (
     WithinPattern,
 )
 from ..events.language.row_pattern_parser import step_term
+from ..events.language.state_parser import queried_state
 from ..events.language.stream_parser import (
     NOT_PRECEDED,
     positive_nanoseconds,
@@ -68,19 +70,29 @@ from ..foundation.errors import RetalisError, RuleError
 from ..foundation.limit_checks import check_limits
 from ..prolog.system.prolog_system import PrologSystem
 from ..prolog.terms import timestamps
-from ..prolog.terms.term_traversal import copy, variables
+from ..prolog.terms.list_terms import conjunction, conjuncts
+from ..prolog.terms.term_traversal import copy, term_key, variables
 from ..prolog.terms.types import NIL, Term, Trail, Var, functor
 from ..prolog.terms.unification import undo, unify
 from .explanation_lines import TimeFormat, names_of_bound_variables, show_term
 
+MAX_MATCHES = 5000
+"""Maximum number of matches of a part that windows and conditions examine; the newest ones are kept."""
 MAX_CANDIDATES = 200
-"""Maximum number of matches of a part that are examined; the newest ones are kept."""
+"""Maximum number of matches of a part that are combined with those of another part, or whose conditions are examined
+one by one; the newest ones are used."""
+MAX_CONJUNCTS = 20
+"""Maximum number of goals of a conjunction that are examined one by one."""
 MAX_REPETITIONS = 50
 """Maximum number of repetitions of ``ntimes`` that are examined."""
 MAX_SHOWN_CANDIDATES = 3
 """Maximum number of matches in the text of a part; the newest ones are shown."""
 MAX_SHOWN_VALUE_CHARACTERS = 60
 """Maximum length of the text of a variable's value."""
+
+_PRESENT_STATES_NOTE = " (with the states that hold now)"
+_CONSECUTIVE_WINDOWS = ("batch", "first")
+"""Kinds of windows that begin after the end of the previous one."""
 
 _VALUES_FUNCTOR = functor("values", 0)
 """Functor of the terms that combine any number of values or variables; its arity is not used."""
@@ -128,6 +140,7 @@ class PartResult(NamedTuple):
         parts: results of the parts below it.
         event: the event, if the part is a single event.
         was_tested: False if the part was not tested, because a part below it did not match.
+        omits_older: whether older matches were omitted, of this part or of one below it.
     """
 
     text: str
@@ -135,6 +148,7 @@ class PartResult(NamedTuple):
     parts: List["PartResult"]
     event: Optional[Term] = None
     was_tested: bool = True
+    omits_older: bool = False
 
     @property
     def symbol(self) -> str:
@@ -142,6 +156,12 @@ class PartResult(NamedTuple):
         if not self.was_tested:
             return "?"
         return "+" if self.matches else "-"
+
+    def keep_newest(self, max_count: int) -> "PartResult":
+        """Return the result with its newest matches only."""
+        if len(self.matches) <= max_count:
+            return self
+        return self._replace(matches=self.matches[-max_count:], omits_older=True)
 
 
 class WhyNotMatched:
@@ -197,7 +217,12 @@ class WhyNotMatched:
 
     def evaluate(self, pattern: Any) -> PartResult:
         """Return the result for a pattern."""
-        return self._methods[type(pattern)](pattern)
+        result = self._methods[type(pattern)](pattern).keep_newest(MAX_MATCHES)
+        return result._replace(omits_older=True) if any(part.omits_older for part in result.parts) else result
+
+    def _evaluate_operand(self, pattern: Any) -> PartResult:
+        """Return the result for a pattern whose matches are combined with those of another one."""
+        return self.evaluate(pattern).keep_newest(MAX_CANDIDATES)
 
     # ---- one method per type of pattern ----------------------------------------------------------------
 
@@ -216,10 +241,10 @@ class WhyNotMatched:
             finally:
                 undo(trail, 0)
         text = f"{self._show(pattern.term)}: {self._format_result(matches, 'did not happen', pattern.term)}"
-        return PartResult(text, matches[-MAX_CANDIDATES:], [], copy(pattern.term))
+        return PartResult(text, matches, [], copy(pattern.term))
 
     def _evaluate_pair(self, pattern: PairPattern) -> PartResult:
-        left, right = self.evaluate(pattern.left), self.evaluate(pattern.right)
+        left, right = self._evaluate_operand(pattern.left), self._evaluate_operand(pattern.right)
         join_intervals = _compile_interval_join(PAIR_OPERATORS[pattern.operator])
         values_agree = False
         matches = []
@@ -242,9 +267,7 @@ class WhyNotMatched:
                 else "no pair with the same values"
             )
         return PartResult(
-            f"{pattern.operator}: {self._format_result(matches, reason)}",
-            matches[-MAX_CANDIDATES:],
-            [left, right],
+            f"{pattern.operator}: {self._format_result(matches, reason)}", matches, [left, right]
         )
 
     def _evaluate_repeated(self, pattern: RepeatedPattern) -> PartResult:
@@ -255,10 +278,10 @@ class WhyNotMatched:
         parts = [self.evaluate(branch) for branch in pattern.branches]
         matches = _sort_by_end([match for part in parts for match in part.matches])
         text = f"{_OR_NAME}: {self._format_result(matches, 'no branch matched')}"
-        return PartResult(text, matches[-MAX_CANDIDATES:], parts)
+        return PartResult(text, matches, parts)
 
     def _evaluate_negation(self, pattern: NotPattern) -> PartResult:
-        part, negated = self.evaluate(pattern.pattern), self.evaluate(pattern.negated)
+        part, negated = self._evaluate_operand(pattern.pattern), self._evaluate_operand(pattern.negated)
         matches = [
             match
             for match in part.matches
@@ -284,17 +307,23 @@ class WhyNotMatched:
         return gap_start < negated.start and negated.end < gap_end
 
     def _evaluate_kleene(self, pattern: KleenePattern) -> PartResult:
-        first_part, repeated_part = self.evaluate(pattern.first), self.evaluate(pattern.repeated)
+        first_part, repeated_part = (
+            self._evaluate_operand(pattern.first),
+            self._evaluate_operand(pattern.repeated),
+        )
         extended = [
             Candidate(values, match.start, last.end)
             for match, last, values in self._find_ordered_pairs(first_part, repeated_part)
         ]
         matches = _sort_by_end(first_part.matches + extended)
         text = f"{_STAR_NAME}: {self._format_result(matches, 'it did not start')}"
-        return PartResult(text, matches[-MAX_CANDIDATES:], [first_part, repeated_part])
+        return PartResult(text, matches, [first_part, repeated_part])
 
     def _evaluate_aggregate(self, pattern: AggregatePattern) -> PartResult:
-        first_part, collected_part = self.evaluate(pattern.first), self.evaluate(pattern.collected)
+        first_part, collected_part = (
+            self._evaluate_operand(pattern.first),
+            self._evaluate_operand(pattern.collected),
+        )
         value = NIL if pattern.value is None else pattern.value
         value_vars = variables(value)
         evaluators = Evaluators(self._rule)
@@ -331,7 +360,7 @@ class WhyNotMatched:
                     add_result(match, last.end, result)
         reason = self._format_other_results(results) or "nothing was collected"
         reason = f"{reason}{problem}" if first_part.matches else "it did not begin"
-        matches = _sort_by_end(matches)[-MAX_CANDIDATES:]
+        matches = _sort_by_end(matches)
         text = f"{pattern.kind}: {self._format_result(matches, reason, pattern.result)}"
         return PartResult(text, matches, [first_part, collected_part])
 
@@ -349,6 +378,7 @@ class WhyNotMatched:
     def _evaluate_condition(self, pattern: ConditionPattern) -> PartResult:
         part = self.evaluate(pattern.pattern)
         matches = []
+        rejected_matches = []
         problems: Dict[str, None] = {}
         for match in part.matches:
             try:
@@ -356,18 +386,56 @@ class WhyNotMatched:
             except RetalisError as error:
                 # As in the rule, an error rejects this match only; it is shown if no other match is accepted.
                 problems.setdefault(error.message)
-                continue
-            if values is not None:
+                values = None
+            if values is None:
+                rejected_matches.append(match)
+            else:
                 matches.append(match._replace(values=values))
         name = _CONDITION_NAMES[pattern.timed]
         if not part.matches:
             return PartResult(f"{name} {self._show(pattern.goal)}: not tested", [], [part], None, False)
-        rejected = self._format_candidates(part.matches, pattern.goal)
-        rejected = f"false for {rejected}" if " = " in rejected else f"false {rejected}"
+        rejected = self._format_rejected(part.matches, pattern.goal)
         if problems:
             rejected = f"{rejected}, with the error: {list(problems)[-1]}"
         text = f"{name} {self._show(pattern.goal)}: {self._format_result(matches, rejected, pattern.goal)}"
-        return PartResult(text, matches, [part])
+        goal_results = [] if matches else self._evaluate_conjuncts(pattern, rejected_matches)
+        return PartResult(text, matches, [*goal_results, part])
+
+    def _evaluate_conjuncts(
+        self, pattern: ConditionPattern, rejected_matches: Sequence[Candidate]
+    ) -> List[PartResult]:
+        """Return for each goal of a conjunction the newest matches that satisfy the goals before it, but not it."""
+        goals = list(conjuncts(pattern.goal))
+        # Each match evaluates up to all beginnings of the conjunction, which takes quadratic time.
+        if not 1 < len(goals) <= MAX_CONJUNCTS:
+            return []
+        beginnings = [pattern._replace(goal=conjunction(goals[:count])) for count in range(1, len(goals))]
+        rejected_by_goal: List[List[Candidate]] = [[] for _ in goals]
+        for match in rejected_matches[-MAX_CANDIDATES:]:
+            # With the values that the goals so far have bound.
+            satisfied = match
+            for beginning, rejected in zip(beginnings, rejected_by_goal):
+                try:
+                    values = self._solve(beginning, match)
+                except RetalisError:
+                    values = None
+                if values is None:
+                    rejected.append(satisfied)
+                    break
+                satisfied = match._replace(values=values)
+            else:
+                rejected_by_goal[-1].append(satisfied)
+        scope = f"of the newest {MAX_CANDIDATES}, " if len(rejected_matches) > MAX_CANDIDATES else ""
+        return [
+            PartResult(
+                f"{self._show(goal)}: {scope}{self._format_rejected(rejected, goal)}"
+                f"{_PRESENT_STATES_NOTE if queried_state(goal) else ''}",
+                [],
+                [],
+            )
+            for goal, rejected in zip(goals, rejected_by_goal)
+            if rejected
+        ]
 
     def _evaluate_within(self, pattern: WithinPattern) -> PartResult:
         part = self.evaluate(pattern.pattern)
@@ -396,8 +464,11 @@ class WhyNotMatched:
         # apart.
         part = self.evaluate(pattern.collected)
         text = f"aggregate over {self._show(window_term(pattern.window))}"
-        if len(part.matches) >= MAX_CANDIDATES:
-            text += f" (run again over the newest {MAX_CANDIDATES} events only)"
+        if part.omits_older:
+            text += f" (run again over the newest {len(part.matches)} matches only)"
+            if pattern.window.kind in _CONSECUTIVE_WINDOWS:
+                text += ": not tested, because the omitted ones determine where its windows begin"
+                return PartResult(text, [], [part], None, False)
         node = self._rule.stream_node(pattern)
         if not part.matches or node is None:
             return PartResult(f"{text}: nothing was measured", [], [part], None, bool(part.matches))
@@ -405,7 +476,9 @@ class WhyNotMatched:
         window = _WindowEvaluation(node, len(pattern.window.steps), self._instantiate)
         for match in part.matches:
             window.process(match)
-        outputs = window.finish(self._current_time if node is None else node.watermark_time())
+        outputs = window.finish(node.watermark_time())
+        if part.omits_older:
+            outputs = [output for output in outputs if not window.may_lack_elements(output)]
         matches = []
         results = []
         for output in outputs:
@@ -427,7 +500,6 @@ class WhyNotMatched:
             parts += self._evaluate_steps(
                 pattern.window.steps, window.progress, pattern.window.structure is None
             )
-        matches = matches[-MAX_CANDIDATES:]
         shown_results = self._format_result(
             matches, f"{reason}{window.problem}", (_VALUES_FUNCTOR, *pattern.results)
         )
@@ -488,7 +560,7 @@ class WhyNotMatched:
         return PartResult(text, matches, [part], None, bool(part.matches))
 
     def _evaluate_absence_timeout(self, pattern: AbsencePattern) -> PartResult:
-        part, negated = self.evaluate(pattern.pattern), self.evaluate(pattern.negated)
+        part, negated = self._evaluate_operand(pattern.pattern), self._evaluate_operand(pattern.negated)
         node = self._rule.stream_node(pattern)
         watermark_time = self._current_time if node is None else node.watermark_time()
         spans = [(match, self._timeout_of(pattern, match)) for match in part.matches]
@@ -528,7 +600,7 @@ class WhyNotMatched:
         return PartResult(text, matches, [part, _create_negated_part(negated)], None, bool(part.matches))
 
     def _evaluate_not_preceded(self, pattern: NotPrecededPattern) -> PartResult:
-        part, negated = self.evaluate(pattern.pattern), self.evaluate(pattern.negated)
+        part, negated = self._evaluate_operand(pattern.pattern), self._evaluate_operand(pattern.negated)
         matches = [
             match
             for match in part.matches
@@ -614,6 +686,10 @@ class WhyNotMatched:
         """Return a text of the matches with the values of a term's variables, or the reason if there are none."""
         return self._format_candidates(matches, term) if matches else reason
 
+    def _format_rejected(self, matches: List[Candidate], goal: Term) -> str:
+        text = self._format_candidates(matches, goal)
+        return f"false for {text}" if " = " in text else f"false {text}"
+
     def _format_candidates(self, matches: List[Candidate], term: Term) -> str:
         """Return a text of the newest matches, with the values of a term's variables and their times."""
         named_vars = [var for var in dict.fromkeys(variables(term)) if var in self._names]
@@ -680,6 +756,8 @@ class _WindowEvaluation:
         self._stream.set_bounds(node.stream.bounds)
         self._instantiate = instantiate
         self._outputs: List[StreamOutput] = []
+        self._first_starts: Dict[Hashable, int] = {}
+        """Start of the first match of each key."""
         self.progress = [0] * step_count
         self.problem = ""
 
@@ -691,6 +769,7 @@ class _WindowEvaluation:
         values = tuple([self._instantiate(match.values, var) for var in self._node.children[0].vars])
         try:
             element = self._node.spec.create_element(match, values, match.start, match.end)
+            self._first_starts.setdefault(_get_key(element), match.start)
             self._outputs += self._stream.process(element, match.end, 0)
         except RuleError as error:
             self.problem = f", {error.message}"
@@ -705,6 +784,10 @@ class _WindowEvaluation:
                 self.problem = f", {output.error.message}"
         return [output for output in self._outputs if output.error is None]
 
+    def may_lack_elements(self, output: StreamOutput) -> bool:
+        """Return whether a window may have begun before the first match of its key."""
+        return output.start <= self._first_starts[_get_key(output.elements[-1])]
+
     def _update_progress(self) -> None:
         # Only a row pattern has steps.
         assert isinstance(self._stream, RowPatternWindow)
@@ -713,6 +796,10 @@ class _WindowEvaluation:
             for step in steps:
                 counts[step] += 1
             self.progress = max(self.progress, counts, key=_get_progress_key)
+
+
+def _get_key(element: StreamElement) -> Hashable:
+    return term_key((_VALUES_FUNCTOR, *element.key_values))
 
 
 def _get_progress_key(counts: Sequence[int]) -> Tuple[int, int]:
