@@ -281,11 +281,11 @@ def compile_rate_spec(rate_pattern: RatePattern, value_vars: Sequence[Var]) -> S
         return build_key(values), build_values(values)
 
     return StreamNodeSpec(
-        lambda options: create_rate_operator(rate_pattern),
-        key_and_values,
-        None,
-        RATE_OPERATORS[rate_pattern.operator].is_delayed,
-        _LATE_FOR_DELAYED_MATCH,
+        create_operator=lambda options: create_rate_operator(rate_pattern),
+        key_and_values=key_and_values,
+        build_match_values=None,
+        uses_clock=RATE_OPERATORS[rate_pattern.operator].is_delayed,
+        late_report=_LATE_FOR_DELAYED_MATCH,
     )
 
 
@@ -305,108 +305,187 @@ def compile_window_spec(
         build_match_values: builds the values of its matches.
         evaluators: compiles the goals.
     """
-    position_of = positions(value_vars)
-    key_positions = [position_of[var] for var in key_vars]
-    single_position = key_positions[0] if len(key_positions) == 1 else None
-    measured_terms = [value for value in window_pattern.values if value is not None]
-    navigated_vars: Sequence[Var] = window_pattern.window.navigated_vars
-    has_stamps = window_pattern.window.kind == "steps" and uses_stamps(window_pattern)
+    window = window_pattern.window
+    if window.kind == "steps":
+        return _compile_steps_spec(window_pattern, value_vars, key_vars, build_match_values, evaluators)
+    measures = _compile_measures(window_pattern, _list_measured_terms(window_pattern), value_vars, evaluators)
+    make_accumulators = _accumulator_factory(window_pattern, evaluators.compile_fold)
+    create_operator = partial(_WINDOWS[window.kind], make_accumulators, window)
+    return StreamNodeSpec(
+        create_operator=lambda options: create_operator(),
+        key_and_values=_compile_key_and_values(value_vars, key_vars, measures),
+        build_match_values=build_match_values,
+        uses_clock=_uses_clock(window),
+        late_report=_LATE_FOR_HELD_WINDOW if window.kind == "held" else _LATE_FOR_WINDOW,
+        calls_goals="fold" in window_pattern.kinds or DURATION in window_pattern.kinds,
+        fusible_window=_find_fusible_window(window_pattern, positions(value_vars), key_vars),
+    )
+
+
+def _uses_clock(window: WindowSpec) -> bool:
+    """Return whether the results of a window without steps depend on the time of the clock."""
+    return (
+        window.kind in ("first", "session")
+        or (window.kind == "every" and not window.running)
+        or (window.kind == "held" and window.step > 0)
+    )
+
+
+def _compile_steps_spec(
+    window_pattern: WindowPattern,
+    value_vars: Sequence[Var],
+    key_vars: Sequence[Var],
+    build_match_values: MatchValuesBuilder,
+    evaluators: Evaluators,
+) -> StreamNodeSpec:
+    """Return the specification of a node of a row pattern; see `compile_window_spec`."""
+    window = window_pattern.window
+    measured_terms = _list_measured_terms(window_pattern)
+    navigated_vars: Sequence[Var] = window.navigated_vars
+    has_stamps = uses_stamps(window_pattern)
     if has_stamps:
         # The stamps of a match follow its values.
         value_vars = [*value_vars, ROW_START, ROW_END]
-        position_of = positions(value_vars)
         navigated_vars = [*navigated_vars, ROW_START, ROW_END]
-        measured_terms = [insert_stamps(value) for value in measured_terms]
-    build = _compile_values_builder(measured_terms, value_vars)
-    navigated_positions = [position_of[var] for var in navigated_vars]
-    is_held = window_pattern.window.kind == "held"
-    measured_kinds = [
+        measured_terms = [insert_stamps(term) for term in measured_terms]
+    measures = _compile_measures(window_pattern, measured_terms, value_vars, evaluators)
+    element_vars = [*(None for _ in measured_terms), *navigated_vars]
+    nfa, expressions = compile_row_pattern(window, element_vars, evaluators.compile_test)
+    # Conditions of the step that needs the value reject one that is no number.
+    tested_values = _compile_values(
+        [_ValueTerm(expression.kind, expression.term, scope=0) for expression in expressions],
+        value_vars,
+        evaluators,
+    )
+    make_accumulators = _accumulator_factory(window_pattern, evaluators.compile_fold)
+    skip = window.skip or RowPatternSkip(SKIP_PAST_LAST)
+    classifier = StepClassifier(
+        [atom(step.name) for step in window.steps],
+        [position for position, term in enumerate(measured_terms) if is_step_name(term)],
+    )
+    arguments = (make_accumulators, window_pattern.scopes, nfa, skip, classifier)
+    return StreamNodeSpec(
+        create_operator=lambda options: (
+            RowPatternTimeouts(*arguments, window.span) if window.span else RowPatternWindow(*arguments)
+        ),
+        key_and_values=_compile_key_and_values(value_vars, key_vars, measures, navigated_vars, tested_values),
+        build_match_values=build_match_values,
+        uses_clock=bool(window.span),
+        late_report=_LATE_FOR_WINDOW,
+        calls_goals=any(variable.tests or variable.until for variable in nfa.steps),
+        uses_stamps=has_stamps,
+    )
+
+
+class _ValueTerm(NamedTuple):
+    """A term whose value an element needs.
+
+    Attributes:
+        kind: name of the measure or aggregate.
+        scope: number of the step that it is restricted to, or None.
+    """
+
+    kind: str
+    term: Term
+    scope: Optional[int]
+
+
+class _CompiledValues(NamedTuple):
+    """Functions that compute values of an element.
+
+    Attributes:
+        build: makes the terms from the values of a match.
+        evaluate: computes the value of each term; None for a term that is its own value.
+    """
+
+    build: Callable[[Values], Values]
+    evaluate: List[Optional[Evaluate]]
+
+
+_NO_VALUES = _CompiledValues(lambda values: (), [])
+
+
+def _list_measured_terms(window_pattern: WindowPattern) -> List[Term]:
+    return [value for value in window_pattern.values if value is not None]
+
+
+def _compile_measures(
+    window_pattern: WindowPattern,
+    measured_terms: Sequence[Term],
+    value_vars: Sequence[Var],
+    evaluators: Evaluators,
+) -> _CompiledValues:
+    """Return the functions that compute the values of the measures that have one, given the terms of these."""
+    kinds_and_scopes = [
         (kind, scope)
         for kind, value, scope in zip(window_pattern.kinds, window_pattern.values, window_pattern.scopes)
         if value is not None
     ]
-    evaluate_values = [
-        _compile_measured_value(evaluators, kind, value, value_vars, scope, is_held)
-        for (kind, scope), value in zip(measured_kinds, measured_terms)
+    value_terms = [
+        _ValueTerm(kind, term, scope) for (kind, scope), term in zip(kinds_and_scopes, measured_terms)
     ]
-    has_numeric_values = any(evaluate_values)
-    window, nfa = window_pattern.window, None
-    expressions: List[AggregatedExpression] = []
-    if window.kind == "steps":
-        element_vars = [*(None for _ in measured_terms), *navigated_vars]
-        nfa, expressions = compile_row_pattern(window, element_vars, evaluators.compile_test)
-    build_expressions = _compile_values_builder([expression.term for expression in expressions], value_vars)
-    # Conditions of the step that needs the value reject one that is no number.
-    evaluate_expressions = [
-        _compile_measured_value(evaluators, expression.kind, expression.term, value_vars, 0, is_held)
-        for expression in expressions
-    ]
+    return _compile_values(value_terms, value_vars, evaluators, window_pattern.window.kind == "held")
 
+
+def _compile_values(
+    value_terms: Sequence[_ValueTerm],
+    value_vars: Sequence[Var],
+    evaluators: Evaluators,
+    is_held: bool = False,
+) -> _CompiledValues:
+    return _CompiledValues(
+        build=_compile_values_builder([value.term for value in value_terms], value_vars),
+        evaluate=[
+            _compile_measured_value(evaluators, value.kind, value.term, value_vars, value.scope, is_held)
+            for value in value_terms
+        ],
+    )
+
+
+def _compile_key_and_values(
+    value_vars: Sequence[Var],
+    key_vars: Sequence[Var],
+    measures: _CompiledValues,
+    navigated_vars: Sequence[Var] = (),
+    tested_values: _CompiledValues = _NO_VALUES,
+) -> Callable[[Values], Tuple[Values, Values]]:
+    """Return the function that makes key and values of an element from the values of a match.
+
+    Args:
+        value_vars: variables of the match.
+        key_vars: those of the key.
+        measures: values of the measures; they are the first values of an element.
+        navigated_vars: variables whose values follow.
+        tested_values: values of aggregates in conditions, which follow these.
+    """
+    position_of = positions(value_vars)
+    key_positions = [position_of[var] for var in key_vars]
+    single_position = key_positions[0] if len(key_positions) == 1 else None
+    navigated_positions = [position_of[var] for var in navigated_vars]
+    build_measured, evaluate_measured = measures
+    has_numeric_values = any(evaluate_measured)
+    build_tested, evaluate_tested = tested_values
+
+    # Called for each event, so it contains what further functions could do.
     def key_and_values(values: Values) -> Tuple[Values, Values]:
-        measured = build(values)
+        measured = build_measured(values)
         # Values are nearly always numbers, so expressions are evaluated only if one is not.
         if has_numeric_values:
             for value in measured:
                 if value.__class__ not in (int, float):
-                    measured = tuple(
-                        [
-                            _evaluate_unless_number(element, evaluate, values)
-                            for element, evaluate in zip(measured, evaluate_values)
-                        ]
-                    )
+                    measured = _evaluate_all(measured, evaluate_measured, values)
                     break
         if navigated_positions:
             measured = (*measured, *(values[position] for position in navigated_positions))
-        if expressions:
-            terms = build_expressions(values)
-            measured += tuple(
-                [
-                    _evaluate_unless_number(term, evaluate, values)
-                    for term, evaluate in zip(terms, evaluate_expressions)
-                ]
-            )
+        if evaluate_tested:
+            measured += _evaluate_all(build_tested(values), evaluate_tested, values)
         return (
             (values[single_position],)
             if single_position is not None
             else tuple([values[position] for position in key_positions])
         ), measured
 
-    make_accumulators = _accumulator_factory(window_pattern, evaluators.compile_fold)
-    if nfa is not None:
-        skip = window.skip or RowPatternSkip(SKIP_PAST_LAST)
-        classifier = StepClassifier(
-            [atom(step.name) for step in window.steps],
-            [position for position, term in enumerate(measured_terms) if is_step_name(term)],
-        )
-        arguments = (make_accumulators, window_pattern.scopes, nfa, skip, classifier)
-        return StreamNodeSpec(
-            lambda options: (
-                RowPatternTimeouts(*arguments, window.span) if window.span else RowPatternWindow(*arguments)
-            ),
-            key_and_values,
-            build_match_values,
-            bool(window.span),
-            _LATE_FOR_WINDOW,
-            any(variable.tests or variable.until for variable in nfa.steps),
-            uses_stamps=has_stamps,
-        )
-    create_operator = partial(_WINDOWS[window.kind], make_accumulators, window)
-    uses_clock = (
-        window.kind in ("first", "session")
-        or (window.kind == "every" and not window.running)
-        or (is_held and window.step > 0)
-    )
-    calls_goals = "fold" in window_pattern.kinds or DURATION in window_pattern.kinds
-    fusible_window = _find_fusible_window(window_pattern, position_of, key_vars)
-    return StreamNodeSpec(
-        lambda options: create_operator(),
-        key_and_values,
-        build_match_values,
-        uses_clock,
-        _LATE_FOR_HELD_WINDOW if is_held else _LATE_FOR_WINDOW,
-        calls_goals,
-        fusible_window,
-    )
+    return key_and_values
 
 
 def _find_fusible_window(
@@ -475,6 +554,13 @@ def _make_lenient(evaluate: Evaluate, scope: Optional[int]) -> Evaluate:
             return term
 
     return evaluate_or_return
+
+
+def _evaluate_all(terms: Values, evaluate: Sequence[Optional[Evaluate]], values: Values) -> Values:
+    """Return the values of terms; numbers and terms without a function are their own values."""
+    return tuple(
+        [_evaluate_unless_number(term, evaluate_term, values) for term, evaluate_term in zip(terms, evaluate)]
+    )
 
 
 def _evaluate_unless_number(value: Term, evaluate: Optional[Evaluate], values: Values) -> Term:
@@ -563,9 +649,13 @@ def compile_absence_spec(
             return ComputedAbsenceTimeout(correlation, partial(_timeout_of, position_of[span]))
         return AbsenceTimeout(span, correlation)
 
-    uses_clock = isinstance(pattern, AbsencePattern)
     return StreamNodeSpec(
-        create_operator, lambda values: ((), ()), None, uses_clock, _LATE_FOR_ABSENCE, condition is not None
+        create_operator=create_operator,
+        key_and_values=lambda values: ((), ()),
+        build_match_values=None,
+        uses_clock=isinstance(pattern, AbsencePattern),
+        late_report=_LATE_FOR_ABSENCE,
+        calls_goals=condition is not None,
     )
 
 
