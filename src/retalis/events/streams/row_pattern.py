@@ -305,11 +305,11 @@ class RowPatternWindow(StreamOperator):
 
     def _states_started_since(self, partition: PartitionState, min_start: int) -> List[ComputationState]:
         """Return the states of a partition, without those that started before an instant."""
-        if all(state.start_time >= min_start or state.matched is None for state in partition.states):
-            return partition.states
         remaining_states = [
             state for state in partition.states if state.start_time >= min_start or state.matched is None
         ]
+        if len(remaining_states) == len(partition.states):
+            return partition.states
         return self._with_scanning(remaining_states)
 
     def _with_scanning(self, states: List[ComputationState]) -> List[ComputationState]:
@@ -385,7 +385,7 @@ class RowPatternWindow(StreamOperator):
 
     def _store_partition(self, partition: PartitionState, key: Hashable) -> None:
         """Store a partition, count its states, and drop elements that are not used by any state."""
-        oldest_order = partition.oldest_order()
+        oldest_order = partition.first_start()
         state_count = (
             0 if oldest_order is None else len(partition.states) - (partition.states[-1].step == SCANNING)
         )
@@ -421,7 +421,7 @@ class RowPatternWindow(StreamOperator):
             if state.step == SCANNING:
                 successors.states.append(state)
             # An element is skipped only if no step accepts it: skipping is not an alternative to accepting.
-            elif not accepting and skipping:
+            elif skipping:
                 successor = ComputationState(
                     state.step,
                     state.count,
@@ -441,7 +441,7 @@ class RowPatternWindow(StreamOperator):
     def _accepting_steps(
         self, state: ComputationState, element: StreamElement
     ) -> Tuple[List[int], Tuple[int, ...]]:
-        """Return the steps that accept an element, and the steps that remain if the element is skipped."""
+        """Return the steps that accept an element; if there are none, also those that remain if it is skipped."""
         steps = self.nfa.steps
         transitions = self.nfa.transitions_after(state.step, state.count)
         candidates = transitions.steps if state.remaining_steps is None else state.remaining_steps
@@ -451,8 +451,10 @@ class RowPatternWindow(StreamOperator):
             if not (steps[step].until and ends_step(steps[step].until, state, element))
         ]
         accepting = [step for step in continuing_steps if passes_tests(steps[step].tests, state, element)]
+        if accepting:
+            return accepting, ()
         skipping = tuple([step for step in continuing_steps if steps[step].skips_rows])
-        if not accepting and skipping:
+        if skipping:
             for step in transitions.blocking:
                 # A reluctant step has no `until`. After a skipped element, only `skips_rows` steps can follow.
                 if (state.remaining_steps is None or steps[step].skips_rows) and passes_tests(
@@ -477,7 +479,7 @@ class RowPatternWindow(StreamOperator):
         next_steps, may_end, steps_after_skip, _ = nfa.transitions_after(step, count)
         # `steps_after_skip` is set if all steps skip elements: the state then equals the one after a skip.
         if next_steps:
-            targets = nfa.advance_navigations(state.targets, number, element)
+            targets = nfa.advance_navigations(state.targets, number, element) if nfa.navigations else ()
             totals = nfa.advance_totals(state.totals, number, element) if nfa.aggregates else ()
             is_present = self._add(
                 ComputationState(

@@ -96,7 +96,8 @@ class ComputationState:
             self.step,
             count_class,
             self.remaining_steps,
-            tuple([id(element) for element in self.targets]),
+            # An element is equal to itself only.
+            self.targets,
             self.totals,
         )
 
@@ -195,7 +196,10 @@ class PartitionState:
         self._dropped_element_count = 0
 
     def first_start(self) -> Optional[int]:
-        """Return the order of the first element of the most preferred state; None if no match has begun."""
+        """Return the order of the first element of the most preferred state; None if no match has begun.
+
+        States and waiting matches begin no earlier, once the decided matches have been removed.
+        """
         state = self.states[0]
         return None if state.matched is None else state.start_order
 
@@ -226,13 +230,6 @@ class PartitionState:
         self.states = [state for state in self.states if state.matched is None or state.start_order >= order]
         while self.completed and self.completed[0].start_order < order:
             self.completed.popleft()
-
-    def oldest_order(self) -> Optional[int]:
-        """Return the order of the oldest element in use, or None."""
-        orders = [state.start_order for state in self.states if state.matched is not None]
-        if self.completed:
-            orders.append(self.completed[0].start_order)
-        return min(orders, default=None)
 
     def drop_elements_before(self, order: int) -> int:
         """Drop the elements before the one with an order; return their number.
