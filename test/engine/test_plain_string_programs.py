@@ -150,6 +150,23 @@ def test_check_warns_of_other_form(tmp_path: Path, strings: str, rules: str, war
     assert [finding.problem.message for finding in findings] == warnings
 
 
+@pytest.mark.parametrize(
+    ("strings", "advice"),
+    [
+        ("plain", "data of std_msgs/String is a text without quotes inside: write anna"),
+        ("quoted", "data of std_msgs/String is a string, which keeps its quotes in events: write '\"anna\"'"),
+    ],
+)
+def test_file_alone_has_form_of_its_program(tmp_path: Path, strings: str, advice: str) -> None:
+    folder = write_program(tmp_path, QUOTED_RULES, strings)
+    (folder / "rules").mkdir()
+    rules = folder / "rules" / "greeting.txt"
+    text = "anna" if strings == "quoted" else "'\"anna\"'"
+    rules.write_text(f"seen <- std_msgs__0__String({text}).\n")
+    findings = check_program(rules, Definitions())
+    assert [finding.problem.message for finding in findings if finding.problem.code == "RT1105"] == [advice]
+
+
 def test_unknown_form_is_refused(tmp_path: Path) -> None:
     folder = write_program(tmp_path, PLAIN_RULES, "bare")
     with pytest.raises(ProgramErrors, match='strings is "quoted" or "plain", found "bare"'):

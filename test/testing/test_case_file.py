@@ -9,7 +9,6 @@ from testing.case_texts import fever_file, parse_case
 from retalis.foundation.errors import UsageError
 from retalis.testing.case_definition import CountRange, Tolerance
 from retalis.testing.case_file import (
-    find_program_folder,
     is_foreign_file,
     list_case_files,
     make_json_schema,
@@ -171,15 +170,6 @@ def test_unreadable_files_are_errors(tmp_path: Path) -> None:
     ):
         with pytest.raises(CaseFileError, match=error):
             read_case_file(tmp_path / name)
-
-
-def test_program_folder_is_nearest_above(tmp_path: Path) -> None:
-    program = tmp_path / "robot"
-    (program / "tests").mkdir(parents=True)
-    (program / "goalPredicates.txt").write_text("")
-    assert find_program_folder(program / "tests" / "a.yaml") == program
-    assert find_program_folder(program / "a_test.yaml") == program
-    assert find_program_folder(tmp_path / "other" / "a.yaml") is None
 
 
 def test_test_files_are_found_below_folders(tmp_path: Path) -> None:

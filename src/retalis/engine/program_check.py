@@ -25,6 +25,8 @@ from ..events.program.topic_configuration import (
     Topics,
     TopicType,
     direct_topics,
+    find_program_folder,
+    find_topics,
     read_topics,
 )
 from ..foundation.errors import (
@@ -116,7 +118,8 @@ def check_program(
     The goals of the program are called, as a node calls them at its start.
 
     Args:
-        folder: folder of the program, or a single event file, whose events may have other sources and listeners.
+        folder: folder of the program, or a single event file, whose events may have other sources and listeners. The
+            form of strings is that of the program in the nearest folder.
         definitions: known message types.
         direct: value of ``~direct``: topics whose messages become events, in addition to those of ``pub_sub.xml``.
         settings: settings of the engine.
@@ -131,6 +134,8 @@ def check_program(
     except RetalisError as error:
         collector.add_errors(error)
         has_topics = False
+    if is_single_file:
+        settings = _with_strings_of_program(folder, settings or Settings())
     # The computer's clock, as in a node, so that goals which need the time succeed.
     engine = Engine(Clock(time.time_ns), settings, collector, definitions)
     engine.program.logic.discard_output()
@@ -165,6 +170,13 @@ def check_program(
         if finding.problem.code not in _CODES_OF_NAMES or finding.problem.place not in reported_places
     ]
     return _sort_findings([*collector.findings, *new_findings])
+
+
+def _with_strings_of_program(path: Path, settings: Settings) -> Settings:
+    """Return the settings with the form of strings of the program that a file belongs to, if there is one."""
+    folder = find_program_folder(path)
+    topics = None if folder is None else find_topics(folder)
+    return settings if topics is None else settings._replace(strings=topics.strings)
 
 
 def explain_missing_events(

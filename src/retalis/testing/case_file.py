@@ -7,7 +7,7 @@ and the reference page lists them.
 from pathlib import Path
 from typing import Any, Dict, Iterable, Iterator, List, Mapping, NamedTuple, Optional, Set, Tuple
 
-from ..events.program.topic_configuration import GOALS, TOPICS
+from ..events.program.topic_configuration import PROGRAM_FILES, find_program_folder
 from ..foundation.displayed_text import format_number, quote_shortened
 from ..foundation.errors import UsageError
 from ..foundation.ros_name_checks import topic_fault
@@ -65,9 +65,6 @@ _CASES_KEY = b"cases"
 
 _BEFORE_KEY = b" \t\r{\"'\xef\xbb\xbf"
 """Bytes before the first key of a line; the last three are a byte order mark."""
-
-PROGRAM_FILES = (GOALS, TOPICS)
-"""Files by which the folder of a program is recognized."""
 
 JsonSchema = Mapping[str, Any]
 
@@ -580,15 +577,6 @@ class _ItemReader:
             occurrences=_read_count(values["count"]) if "count" in values else None,
             place=item.place,
         )
-
-
-def find_program_folder(path: Path) -> Optional[Path]:
-    """Return the folder of the program that a test file tests: the nearest one above, or None."""
-    # Folders as they are written come first: relative paths are shorter in messages.
-    for folder in (*path.parents, *path.absolute().parents):
-        if any((folder / name).is_file() for name in PROGRAM_FILES):
-            return folder
-    return None
 
 
 def _read_times(item: YamlValue, values: Mapping[str, YamlValue], default: Optional[int]) -> Iterable[int]:

@@ -98,7 +98,7 @@ def retalis_program(request: "pytest.FixtureRequest") -> Iterator[Callable[..., 
 
     Without argument, the program is that of the nearest folder above the test module.
     """
-    from .case_file import find_program_folder  # noqa: PLC0415 - see the docstring of the module
+    from ..events.program.topic_configuration import find_program_folder  # noqa: PLC0415 - see docstring
     from .engine_driver import EngineDriver  # noqa: PLC0415
 
     checks: List[Iterator[EngineDriver]] = []

@@ -14,6 +14,7 @@ from retalis.events.program.topic_configuration import (
     TopicQuality,
     Topics,
     direct_topics,
+    find_program_folder,
     quality_of,
     read_direct,
     read_text,
@@ -365,3 +366,12 @@ def test_other_direct_topics_are_refused(value: Any) -> None:
 def test_invalid_name_of_direct_topic_is_refused() -> None:
     with pytest.raises(UsageError, match="expected a topic name .*, found 'a b'"):
         read_direct(["a b", "my_msgs/Scan"])
+
+
+def test_program_folder_is_nearest_above(tmp_path: Path) -> None:
+    program = tmp_path / "robot"
+    (program / "tests").mkdir(parents=True)
+    (program / "goalPredicates.txt").write_text("")
+    assert find_program_folder(program / "tests" / "a.yaml") == program
+    assert find_program_folder(program / "a_test.yaml") == program
+    assert find_program_folder(tmp_path / "other" / "a.yaml") is None

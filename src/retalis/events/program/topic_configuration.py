@@ -31,6 +31,9 @@ GOALS = "goalPredicates.txt"
 TOPICS = "pub_sub.xml"
 RULES = "eventRules.txt"
 
+PROGRAM_FILES = (GOALS, TOPICS)
+"""Files by which the folder of a program is recognized."""
+
 ROOT_ELEMENT = "publish_subscribe"
 """Root element of ``pub_sub.xml``."""
 
@@ -324,6 +327,15 @@ def direct_topics(
             topic for topic in DEFAULT_DIRECT_TOPICS if canonical_name(topic.topic) not in subscribed_names
         )
     return direct if isinstance(direct, tuple) else ()
+
+
+def find_program_folder(path: Path) -> Optional[Path]:
+    """Return the folder of the program that a file belongs to: the nearest one above, or None."""
+    # Folders as they are written come first: relative paths are shorter in messages.
+    for folder in (*path.parents, *path.absolute().parents):
+        if any((folder / name).is_file() for name in PROGRAM_FILES):
+            return folder
+    return None
 
 
 def find_topics(folder: Path) -> Optional[Topics]:
