@@ -5,7 +5,7 @@ import subprocess
 import threading
 import time
 from http.client import HTTPException
-from typing import Any, Dict, List
+from typing import Any, Dict, List, Optional
 from xmlrpc.client import Error, ServerProxy
 
 import roslib.packages
@@ -108,13 +108,16 @@ class RawPublisher:
         self.message_class = serialized_class(definition)
         self.publisher = rospy.Publisher(topic, self.message_class, queue_size=10_000, latch=latch)
 
-    def publish(self, data: str) -> None:
+    def publish(self, data: bytes) -> None:
         message = self.message_class()
         message._buff = data
         self.publisher.publish(message)
 
     def is_connected(self) -> bool:
         return self.publisher.get_num_connections() > 0
+
+    def close(self) -> None:
+        self.publisher.unregister()
 
 
 ENGINE, INTERFACE = "retalis", "retalis_ros_interface"
@@ -148,23 +151,32 @@ class NodeProcesses:
             assert process.poll() is None, f"node {name} has ended"
             process.send_signal(number)
         for name in names:
-            status = self._running.pop(name).wait(TIMEOUT_SECONDS)
+            status = self._wait_for_end(name)
             expected = 0 if number == signal.SIGINT else -number
             assert status == expected, f"exit status of node {name}: {status}"
 
     def shut_down(self, name: Any) -> None:
         """End a node by a request of another node, as `rosnode kill` does, and check its exit status."""
         assert rosnode.kill_nodes([f"/{name}"]) == ([f"/{name}"], [])
-        status = self._running.pop(name).wait(TIMEOUT_SECONDS)
+        status = self._wait_for_end(name)
         assert status == 0, f"exit status of node {name}: {status}"
 
     def end_all(self) -> None:
-        """Interrupt the nodes that still run."""
+        """Interrupt the nodes that still run; kill those that do not end, which is an error."""
         for process in self._running.values():
             process.send_signal(signal.SIGINT)
-        for process in self._running.values():
-            process.wait(TIMEOUT_SECONDS)
-        self._running.clear()
+        hanging_nodes = [name for name in list(self._running) if self._wait_for_end(name) is None]
+        assert not hanging_nodes, f"nodes that did not end: {hanging_nodes}"
+
+    def _wait_for_end(self, name: Any) -> Optional[int]:
+        """Return the exit status of a node; None if it has to be killed."""
+        process = self._running.pop(name)
+        try:
+            return int(process.wait(TIMEOUT_SECONDS))
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
+            return None
 
 
 def wait_for_service(name: str, service_class: Any) -> Any:
@@ -189,7 +201,11 @@ def wait_for_message_path() -> None:
         probe.publish("probe")
         return any(message.data == "probe" for message in outputs.messages)
 
-    wait_until(is_returned, "the path through the nodes")
+    try:
+        wait_until(is_returned, "the path through the nodes")
+    finally:
+        probe.unregister()
+        outputs.close()
 
 
 DEFINITIONS = Definitions()

@@ -1,5 +1,6 @@
 """Connection state of the subscribers of tests. Needs the built package, no master."""
 
+import os
 import sys
 import threading
 from pathlib import Path
@@ -14,7 +15,8 @@ pytest.importorskip("retalis.srv", reason="./install.py test builds the package"
 import rospy  # noqa: E402
 
 sys.path.append(str(Path(__file__).resolve().parent))
-from harness import Collector  # noqa: E402
+import harness  # noqa: E402
+from harness import ENGINE, INTERFACE, Collector, NodeProcesses  # noqa: E402
 
 
 @pytest.fixture
@@ -72,3 +74,24 @@ def test_ended_publisher_has_no_connection(collector: Any, link: Any) -> None:
     link.endpoint_id = "http://localhost:1"
     assert not collector.is_connected()
     assert collector.publishers() == []
+
+
+def test_hanging_node_is_killed_and_others_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    node = tmp_path / "node"
+    # `sleep` inherits that the signal is ignored. Each node writes its process number when it is ready.
+    node.write_text(
+        f'#!/bin/sh\n[ "$1" = "__name:={ENGINE}" ] && trap "" INT\necho $$ > "{tmp_path}/$1"\nexec sleep 100\n'
+    )
+    node.chmod(0o755)
+    monkeypatch.setattr(harness.roslib.packages, "find_node", lambda package, name: [str(node)])
+    monkeypatch.setattr(harness, "TIMEOUT_SECONDS", 0.2)
+    nodes = NodeProcesses("program")
+    for name in (ENGINE, INTERFACE):
+        nodes.start(name)
+        ready_file = tmp_path / f"__name:={name}"
+        harness.wait_until(lambda path=ready_file: path.exists() and path.read_text(), name, timeout=20.0)
+    with pytest.raises(AssertionError, match=rf"nodes that did not end: \['{ENGINE}'\]"):
+        nodes.end_all()
+    for name in (ENGINE, INTERFACE):
+        with pytest.raises(ProcessLookupError):
+            os.kill(int((tmp_path / f"__name:={name}").read_text()), 0)

@@ -79,7 +79,7 @@ class ScenarioNode:
         for collector in self._outputs.values():
             collector.close()
         for publisher in self._publishers.values():
-            publisher.publisher.unregister()
+            publisher.close()
 
 
 class Scenarios(unittest.TestCase):
