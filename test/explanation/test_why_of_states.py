@@ -45,6 +45,41 @@ def test_open_state_shows_start_and_event() -> None:
     assert relative[0] == "state docked(b) is open since 2 s: it becomes an event when it ends"
 
 
+def test_states_that_held_are_shown_below_event() -> None:
+    rules = f"{STATE}ok(R) <- ping(R) where true, holds(docked(R))."
+    events = [
+        ("dock(a)", 1),
+        ("dock(b)", 2),
+        ("ping(a)", 3),
+        ("undock(a)", 4),
+        ("dock(a)", 5),
+        ("ping(a)", 6),
+    ]
+    lines = explanation_lines(rules, events, "ok(a)")
+    assert [line for line in lines if "ok(a)" not in line] == [
+        "  state docked(a) held since 1",
+        "    dock(a) at 1 came from outside",
+        "  ping(a) at 3 came from outside",
+        "  state docked(a) held since 5",
+        "    dock(a) at 5 came from outside",
+        "  ping(a) at 6 came from outside",
+    ]
+
+
+@pytest.mark.parametrize(
+    "pattern",
+    [
+        "aggregate(count, a, 120, last(500))",
+        "aggregate(duration(true), a, 119.0, held(last(500)))",
+        "aggregate(count, a, 120, every(120, events))",
+        "aggregate(count, a, 120, steps([a(120)]))",
+    ],
+)
+def test_omitted_events_of_window_are_counted(pattern: str) -> None:
+    lines = explanation_lines(f"w <- {pattern}.", [("a", second) for second in range(120)], "w")
+    assert lines[1] == "  ... and 20 older matches of the window"
+
+
 def test_missing_state_shows_missing_event() -> None:
     rules = f"{STATE}dock(R) <- near(R) seq touched(R)."
     assert explanation_lines(rules, [("near(a)", 1)], "docked(a)") == [

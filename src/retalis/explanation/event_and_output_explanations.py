@@ -15,21 +15,23 @@ from typing import Any, Callable, Dict, Iterator, List, NamedTuple, Optional, Se
 
 from ..engine.engine import Engine
 from ..engine.loaded_items import LoadedProgram
-from ..events.knowledge.event_states import StateRegistry
+from ..events.knowledge.event_states import DeclaredState, StateRegistry
+from ..events.language.pattern_tree import ConditionPattern, walk
+from ..events.language.state_parser import queried_state
 from ..events.language.stream_parser import subscription_event
 from ..events.network.lineage_graph import Occurrence
 from ..foundation.displayed_text import format_count
 from ..foundation.errors import RetalisError, UsageError
-from ..foundation.limit_checks import set_limit_check
+from ..foundation.limit_checks import check_limits, set_limit_check
 from ..foundation.ros_name_checks import strip_slashes
 from ..prolog.syntax.term_reader import read_term
 from ..prolog.terms import timestamps
-from ..prolog.terms.list_terms import list_items
+from ..prolog.terms.list_terms import conjuncts, list_items
 from ..prolog.terms.term_traversal import copy, is_ground
-from ..prolog.terms.types import Atom, Term, Var, atom, deref, functor
-from ..prolog.terms.unification import may_unify, unify
+from ..prolog.terms.types import Atom, Term, Trail, Var, atom, deref, functor, functor_name
+from ..prolog.terms.unification import may_unify, undo, unify
 from .explanation_lines import MAX_LINES_OF_A_KIND, Explanation, ExplanationLine, ExplanationTexts
-from .why_not_happened import RequestedInterval, WhyNotHappened
+from .why_not_happened import RequestedInterval, WhyNotHappened, event_of_head
 from .why_not_published import WhyNotPublished
 
 MAX_DEPTH = 50
@@ -191,8 +193,37 @@ class DerivationTrees:
         if id(occurrence) in self._expanded_ids:
             return ExplanationLine(f"{text}, see above", [])
         self._expanded_ids.add(id(occurrence))
-        below = [self.explain(cause, depth + 1) for cause in causes]
+        # The states come first, because a window can have many events.
+        below = self._explain_states(occurrence, depth + 1)
+        omitted_count = occurrence.omitted_source_count()
+        if omitted_count:
+            omitted_text = (
+                f"... and {format_count(omitted_count, 'older match', 'older matches')} of the window"
+            )
+            below.append(ExplanationLine(omitted_text, []))
+        below += [self.explain(cause, depth + 1) for cause in causes]
         return ExplanationLine(f"{text} {self._describe_derivation(occurrence)}", below)
+
+    def _explain_states(self, occurrence: Occurrence, depth: int) -> List[ExplanationLine]:
+        """Return the states that held for the conditions ``holds`` of the rule that fired an event."""
+        lines = []
+        for state in _queried_states(occurrence):
+            for declaration in self._states.declarations_with_functor_of(state):
+                for held in _states_at(declaration, occurrence.end):
+                    check_limits(1)
+                    if may_unify(held.term, state):
+                        since = self._texts.format_instant(held.start)
+                        text = f"state {self._texts.format_term(held.term)} held since {since}"
+                        begin = self._find_begin_event(held)
+                        below = [] if begin is None else [self.explain(begin, depth + 1)]
+                        lines.append(ExplanationLine(text, below))
+        return lines[-MAX_LINES_OF_A_KIND:]
+
+    def _find_begin_event(self, state: "_HeldState") -> Optional[Occurrence]:
+        if state.begin_event is not None or state.end_event is None:
+            return state.begin_event
+        causes = self._causes_of(state.end_event)
+        return next((cause for cause in causes if cause.end == state.start), None)
 
     def _causes_of(self, occurrence: Occurrence) -> List[Occurrence]:
         """Return the occurrences from which an occurrence without a match was derived."""
@@ -215,6 +246,55 @@ class DerivationTrees:
             return f"by {self._texts.format_rule(occurrence.rule)}"
         is_state = bool(self._states.declarations_with_functor_of(occurrence.term))
         return "has ended; it began and ended with" if is_state else "was released by"
+
+
+class _HeldState(NamedTuple):
+    """A state that held at an instant.
+
+    Attributes:
+        term: the state.
+        start: the instant since which it held, in ns.
+        begin_event: the event with which it began; None if it is unknown.
+        end_event: the event that the state became when it ended; None if it is open, or if the event is unknown.
+    """
+
+    term: Term
+    start: int
+    begin_event: Optional[Occurrence]
+    end_event: Optional[Occurrence]
+
+
+def _states_at(declaration: DeclaredState, instant: int) -> Iterator[_HeldState]:
+    """Yield the states of a declaration that held at an instant in ns, oldest first."""
+    for past in declaration.past:
+        if past.start <= instant <= past.end and not past.retracted:
+            yield _HeldState(past.term, past.start, None, past.token)
+    for state in declaration.open.values():
+        start = state.start
+        if start is not None and start <= instant:
+            yield _HeldState(state.term, start, state.openings[0][1], None)
+
+
+def _queried_states(occurrence: Occurrence) -> List[Term]:
+    """Return the states that the conditions of a rule query, with the values of the event that it has fired."""
+    rule = occurrence.rule
+    if rule is None or rule.definition.head is None:
+        return []
+    states: List[Term] = []
+    trail: Trail = []
+    try:
+        unify(event_of_head(rule.definition.head), copy(occurrence.term), trail)
+        for part in walk(rule.definition.pattern):
+            if isinstance(part, ConditionPattern):
+                # `holds_at` queries another instant.
+                states += [
+                    copy(goal[1])  # type: ignore[index]
+                    for goal in conjuncts(part.goal)
+                    if queried_state(goal) and functor_name(goal) == "holds"
+                ]
+    finally:
+        undo(trail, 0)
+    return states
 
 
 def _explain_request(program: LoadedProgram, request: Term, reference_time: Optional[int]) -> Explanation:

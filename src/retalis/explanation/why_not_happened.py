@@ -117,7 +117,7 @@ class WhyNotHappened:
             trail: Trail = []
             # The variables of the loaded rule are bound, so a time limit must not end this without `undo`.
             try:
-                if unify(_event_of_head(head), copy(event), trail):
+                if unify(event_of_head(head), copy(event), trail):
                     lines.append(self._explain_rule(rule, interval, ancestors))
             finally:
                 undo(trail, 0)
@@ -228,7 +228,7 @@ class WhyNotHappened:
     def _collect_event_names(self) -> List[str]:
         """Return the names of the events that the program receives or raises, or that happened."""
         heads = [rule.definition.head for rule in self._program.rules.rules]
-        raised = [_event_of_head(head) for head in heads if head is not None]
+        raised = [event_of_head(head) for head in heads if head is not None]
         terms = [*raised, *(occurrence.term for occurrence in self._occurrences)]
         listened_names = self._program.rules.dispatcher.listened_names()
         return [*listened_names, *(functor_name(deref(term)) for term in terms)]
@@ -296,7 +296,7 @@ def _describe_likely_reasons(rule: EventRule) -> str:
     )
 
 
-def _event_of_head(head: Term) -> Term:
+def event_of_head(head: Term) -> Term:
     """Return the event of a rule's head; an alarm has it as first argument."""
     if head.__class__ is tuple and head[0] in _ALARM_FUNCTORS:
         alarm_event: Term = head[1]

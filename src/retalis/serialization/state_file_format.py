@@ -97,6 +97,7 @@ MIGRATIONS: Dict[int, Mapping[str, FieldChange]] = {
         "StoredState": FieldChange(removed=["preceding_matches"]),
     },
     13: {
+        "RepetitionChain": FieldChange(added={"omitted_count": 0}),
         "StoredPartition": FieldChange(convert=_share_matched_elements),
         # Releases have no conditions with aggregates of steps, whose totals would be needed.
         "StoredState": FieldChange(added={"totals": []}),

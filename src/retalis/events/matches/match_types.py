@@ -312,6 +312,7 @@ class RepetitionChain:
         match: the last repetition; None if there is none.
         earlier: the `RepetitionChain` of the repetitions before it.
         number: number of the last event in it, see `arrival_number_of`.
+        omitted_count: number of older matches in a window that ``match`` omits.
         linked: whether the occurrences that it contains refer to it, if events are tracked.
         derived, dependents, suppressed, retracted, reported, forgotten: see `Occurrence`.
     """
@@ -320,6 +321,7 @@ class RepetitionChain:
         "match",
         "earlier",
         "number",
+        "omitted_count",
         "linked",
         "derived",
         "dependents",
@@ -335,6 +337,7 @@ class RepetitionChain:
         field("match", reference(*MATCH_KINDS, is_optional=True, is_source=True)),
         field("earlier", reference(*REPETITION_KINDS, is_optional=True, is_source=True)),
         field("number", COUNT),
+        field("omitted_count", COUNT),
         field("linked", BOOLEAN),
         *LINEAGE_FIELDS,
         constraint(
@@ -343,9 +346,12 @@ class RepetitionChain:
         ),
     )
 
-    def __init__(self, match: Optional[PartialMatch], earlier: Optional["RepetitionChain"]):
+    def __init__(
+        self, match: Optional[PartialMatch], earlier: Optional["RepetitionChain"], omitted_count: int = 0
+    ):
         self.match = match
         self.earlier = earlier
+        self.omitted_count = omitted_count
         self.number: int = (
             0 if match is None or earlier is None else max(earlier.number, arrival_number_of(match))
         )

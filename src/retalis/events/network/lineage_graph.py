@@ -119,6 +119,11 @@ class Occurrence:
         # A result of ``with`` or ``absent`` refers to its event twice: as element of the operator and as match.
         return [] if self.match is None else list(dict.fromkeys(occurrences_in(self.match)))
 
+    def omitted_source_count(self) -> int:
+        """Return the number of older matches in windows from which it is derived, and which `sources` omits."""
+        chains = () if self.match is None else lineage_sources(self.match)
+        return sum(chain.omitted_count for chain in chains if isinstance(chain, RepetitionChain))
+
 
 LineageNode = Union[Occurrence, RepetitionChain]
 """Node of the lineage graph."""

@@ -791,7 +791,9 @@ class StreamNode(NetworkNode):
         # Elements that arrived while events were not tracked have no match.
         parts = tuple([element.match for element in output.elements if element.match is not None])
         repetition_chain = RepetitionChain(
-            PartialMatch((), output.start, output.end, None, None, parts), NO_REPETITIONS
+            PartialMatch((), output.start, output.end, None, None, parts),
+            NO_REPETITIONS,
+            output.omitted_count,
         )
         repetition_chain.number = max(repetition_chain.number, arrival_number)
         if self.replay is not None:

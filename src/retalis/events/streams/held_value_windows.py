@@ -258,8 +258,10 @@ class HeldSignal:
         results, error = results_or_error(lambda: self._results(before, after))
         if results is None:
             return None
-        elements = self.elements[-MAX_TRACKED_ELEMENTS:] if with_elements else self.elements[-1:]
-        return StreamOutput(tuple(elements), *interval, results, error)
+        if not with_elements:
+            return StreamOutput((self.elements[-1],), *interval, results, error)
+        elements = tuple(self.elements[-MAX_TRACKED_ELEMENTS:])
+        return StreamOutput(elements, *interval, results, error, len(self.elements) - len(elements))
 
     def _results(self, before: int, after: int) -> Optional[Values]:
         results = []

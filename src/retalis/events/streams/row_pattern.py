@@ -554,7 +554,10 @@ class RowPatternWindow(StreamOperator):
         end = max(earliest_end, *(element.end for element in elements))
         contributors = tuple(elements[-MAX_TRACKED_ELEMENTS:]) if self.tracks_elements else (elements[-1],)
         results, error = results_or_error(lambda: self._results(assignments))
-        return None if results is None else StreamOutput(contributors, start, end, results, error)
+        if results is None:
+            return None
+        omitted_count = len(elements) - len(contributors) if self.tracks_elements else 0
+        return StreamOutput(contributors, start, end, results, error, omitted_count)
 
     def _results(self, assignments: StepAssignments) -> Optional[Values]:
         """Return the results of the measures of a match, or None if one has no result."""

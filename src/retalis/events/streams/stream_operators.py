@@ -103,6 +103,7 @@ class StreamOutput(NamedTuple):
         end: end of the interval in ns.
         results: results of the measures of a window; empty for other operators.
         error: the error that prevented the results; in this case nothing is emitted.
+        omitted_count: number of older elements that contributed and are omitted, if elements are tracked.
     """
 
     elements: Tuple[StreamElement, ...]
@@ -110,6 +111,7 @@ class StreamOutput(NamedTuple):
     end: int
     results: Values = ()
     error: Optional[RuleError] = None
+    omitted_count: int = 0
 
 
 def _element_type(channel: int) -> FieldType[StreamElement]:

@@ -149,8 +149,11 @@ class KeyedWindow:
         if start is None or end is None:
             start, end = self.interval()
         elements = self.elements
-        contributors = self._newest_elements() if with_elements else (elements[-1],)
-        return StreamOutput(contributors, start, end, results, error)
+        if not with_elements:
+            return StreamOutput((elements[-1],), start, end, results, error)
+        contributors = self._newest_elements()
+        omitted_count = self.element_count - len(contributors)
+        return StreamOutput(contributors, start, end, results, error, omitted_count)
 
     def _results(self) -> Optional[Values]:
         """Return the results of the measures, or None if one has no result."""
