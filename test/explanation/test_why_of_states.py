@@ -66,6 +66,12 @@ def test_states_that_held_are_shown_below_event() -> None:
     ]
 
 
+def test_omitted_states_are_counted() -> None:
+    events = [*((f"dock({robot})", robot) for robot in range(12)), ("ping", 20)]
+    lines = explanation_lines(f"{STATE}ok <- ping where holds(docked(_)).", events, "ok")
+    assert lines[1:3] == ["  ... and 2 older states", "  state docked(2) held since 2"]
+
+
 @pytest.mark.parametrize(
     "pattern",
     [

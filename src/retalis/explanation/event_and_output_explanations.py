@@ -206,18 +206,25 @@ class DerivationTrees:
 
     def _explain_states(self, occurrence: Occurrence, depth: int) -> List[ExplanationLine]:
         """Return the states that held for the conditions ``holds`` of the rule that fired an event."""
-        lines = []
+        held_states = []
         for state in _queried_states(occurrence):
             for declaration in self._states.declarations_with_functor_of(state):
                 for held in _states_at(declaration, occurrence.end):
                     check_limits(1)
                     if may_unify(held.term, state):
-                        since = self._texts.format_instant(held.start)
-                        text = f"state {self._texts.format_term(held.term)} held since {since}"
-                        begin = self._find_begin_event(held)
-                        below = [] if begin is None else [self.explain(begin, depth + 1)]
-                        lines.append(ExplanationLine(text, below))
-        return lines[-MAX_LINES_OF_A_KIND:]
+                        held_states.append(held)
+        shown_states = held_states[-MAX_LINES_OF_A_KIND:]
+        lines = []
+        if len(held_states) > len(shown_states):
+            count = len(held_states) - len(shown_states)
+            lines.append(ExplanationLine(f"... and {format_count(count, 'older state')}", []))
+        for held in shown_states:
+            since = self._texts.format_instant(held.start)
+            text = f"state {self._texts.format_term(held.term)} held since {since}"
+            begin = self._find_begin_event(held)
+            below = [] if begin is None else [self.explain(begin, depth + 1)]
+            lines.append(ExplanationLine(text, below))
+        return lines
 
     def _find_begin_event(self, state: "_HeldState") -> Optional[Occurrence]:
         if state.begin_event is not None or state.end_event is None:
