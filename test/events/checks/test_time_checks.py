@@ -162,3 +162,33 @@ def test_limit_that_no_match_satisfies_is_reported(pattern: str, seconds: int) -
 )
 def test_limit_that_a_match_may_satisfy_is_not_reported(pattern: str) -> None:
     assert unreachable_limits(f"x <- ({pattern}) within 1.") == []
+
+
+@pytest.mark.parametrize(
+    ("pattern", "condition", "seconds"),
+    [
+        ("aggregate(count, a, _, last(30))", "E-S>=30", 30),
+        ("aggregate(count, a, _, last(30))", "E-S>30.5", 30),
+        ("(aggregate(count, a, _, last(30)) where true)", "30=<E-S", 30),
+        ("((a seq b) within 5)", "5<E-S", 5),
+    ],
+)
+def test_span_that_no_match_has_is_reported(pattern: str, condition: str, seconds: int) -> None:
+    (message,) = unreachable_limits(f"x <- {pattern} check (t1(S), t2(E), {condition}).")
+    assert message == f"{condition} never holds: each match takes less than {seconds} s"
+
+
+@pytest.mark.parametrize(
+    ("pattern", "condition"),
+    [
+        ("aggregate(count, a, _, last(30))", "E - S >= 29.9"),
+        ("aggregate(count, a, _, last(30))", "E - S < 40"),
+        ("aggregate(count, a, _, last(30))", "(E - S >= 30 ; E > 5)"),
+        ("aggregate(count, a, _, last(30))", "(B is S - 40, E - B >= 30)"),
+        ("aggregate(count, a, _, last(30, every(10)))", "E - S >= 30"),
+        ("aggregate(count, a, _, last(30, events))", "E - S >= 30"),
+        ("aggregate(count, a, _, last(30)) seq b", "E - S >= 30"),
+    ],
+)
+def test_span_that_a_match_may_have_is_not_reported(pattern: str, condition: str) -> None:
+    assert unreachable_limits(f"x <- ({pattern}) check (t1(S), t2(E), {condition}).") == []

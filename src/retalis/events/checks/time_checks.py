@@ -12,7 +12,8 @@ from ...foundation.displayed_text import format_duration, format_number
 from ...foundation.errors import RuleError
 from ...foundation.ros_name_checks import strip_slashes
 from ...prolog.terms.term_traversal import term_key
-from ...prolog.terms.types import Atom, Functor, deref, functor, functor_of
+from ...prolog.terms.types import Atom, Functor, Var, deref, functor, functor_of
+from ..language.called_predicates import Subgoal, conjunctions
 from ..language.event_operators import OPERATOR_NAMES, PAIR_OPERATORS
 from ..language.pattern_tree import (
     AbsencePattern,
@@ -372,7 +373,7 @@ def _periods_by_message(program: ProgramModel) -> Dict[Functor, _RecordedPeriod]
 
 
 def find_unreachable_limits(program: ProgramModel) -> Iterator[RuleError]:
-    """Yield limits of the interval of a match that no match satisfies, because each one takes longer."""
+    """Yield limits of the interval of a match that no match satisfies: each one takes longer, or is too short."""
     properties = program.rule_base.all_properties()
     for rule in program.rules:
         # A node precedes those below it.
@@ -393,6 +394,8 @@ def find_unreachable_limits(program: ProgramModel) -> Iterator[RuleError]:
                     f"{limit}",
                     operator_place(rule, "within"),
                 )
+            if isinstance(node, ConditionPattern) and node.timed:
+                yield from _find_unreachable_spans(program, rule, node)
         label = rule.definition.label
         for prop in () if label is None else properties.get(term_key(label), ()):
             length_in_seconds = shortest[id(rule.definition.pattern)] / 10**9
@@ -402,6 +405,66 @@ def find_unreachable_limits(program: ProgramModel) -> Iterator[RuleError]:
                     f"{format_duration(length_in_seconds)}",
                     rule.definition.place,
                 )
+
+
+def _find_unreachable_spans(
+    program: ProgramModel, rule: SourceRule, node: ConditionPattern
+) -> Iterator[RuleError]:
+    """Yield conditions such as ``E - S >= 30`` that require a longer interval than a match can have."""
+    longest = _longest_interval(node.pattern)
+    if longest is None:
+        return
+    # The first group has the goals that must hold; the others are parts of alternatives and negations.
+    goals = next(conjunctions(wrap_term(node.goal), 1))
+    starts, ends = _times_of(_T1, goals), _times_of(_T2, goals)
+    for goal in goals:
+        term: Any = goal.term
+        if term.__class__ is not tuple or term[0] not in _LOWER_BOUNDS:
+            continue
+        span, seconds = (deref(term[position]) for position in _LOWER_BOUNDS[term[0]])
+        is_duration = (
+            span.__class__ is tuple
+            and span[0] is _MINUS
+            and deref(span[1]).__class__ is Var
+            and deref(span[1]) in ends
+            and deref(span[2]).__class__ is Var
+            and deref(span[2]) in starts
+        )
+        if is_duration and isinstance(seconds, (int, float)) and seconds * 10**9 > longest:
+            yield RuleError(
+                f"{program.brief(term, program.names_in(rule))} never holds: each match takes less than "
+                f"{format_duration((longest + 1) / 10**9)}",
+                rule.place_of(goal.parent, goal.position),
+            )
+
+
+def _times_of(predicate: Functor, goals: Sequence[Subgoal]) -> Set[Var]:
+    """Return the variables that ``t1/1`` or ``t2/1`` binds."""
+    terms: List[Any] = [goal.term for goal in goals]
+    times = [deref(term[1]) for term in terms if term.__class__ is tuple and term[0] is predicate]
+    return {time for time in times if isinstance(time, Var)}
+
+
+_T1, _T2, _MINUS = functor("t1", 1), functor("t2", 1), functor("-", 2)
+_LOWER_BOUNDS = {
+    functor(">", 2): (1, 2),
+    functor(">=", 2): (1, 2),
+    functor("<", 2): (2, 1),
+    functor("=<", 2): (2, 1),
+}
+"""Comparisons, each with the positions of the value and of its lower bound."""
+
+
+def _longest_interval(pattern: Pattern) -> Optional[int]:
+    """Return the length in ns that the interval of a match has at most, or None if it is not known."""
+    while isinstance(pattern, ConditionPattern):
+        pattern = pattern.pattern
+    if isinstance(pattern, WithinPattern):
+        return pattern.span
+    if isinstance(pattern, WindowPattern) and pattern.window.kind == "last":
+        # The first match in the window began less than its span before the end of the last one.
+        return pattern.window.span - 1
+    return None
 
 
 _INTERVAL_PROPERTIES = ("window", "event_rule_window")
