@@ -300,20 +300,6 @@ def test_rule_emits_events_until_deleted(client: Client) -> None:
     assert len(client.outputs) == 1
 
 
-def test_mistakes_of_added_rule_are_logged_once(client: Client, caplog: pytest.LogCaptureFixture) -> None:
-    client.call("/retalis/add_rule", rule="glow(X) <- warm(X)", label="first")
-    (mistake,) = [message for message in caplog.messages if "no producer of warm/1" in message]
-    assert mistake.startswith("rule:1:1: ")
-    caplog.clear()
-    client.call("/retalis/add_rule", rule="b <- a", label="second")
-    assert "no producer of a/0" in caplog.text
-    assert "no producer of warm/1" not in caplog.text
-    # A rule that is added again is a new one.
-    client.call("/retalis/delete_rule", label="first")
-    client.call("/retalis/add_rule", rule="glow(X) <- warm(X)", label="first")
-    assert mistake in caplog.messages
-
-
 def test_invalid_rule_is_an_error_with_caret(client: Client) -> None:
     result = client.call("/retalis/add_rule", rule="a <- b seq\n  (c where X > )", label="")["result"]
     assert result.startswith("error: rule:2:16: ")

@@ -98,7 +98,7 @@ class ProgramHost:
         self._reports = context.reports
         self._texts = texts
         self._errors: List[str] = []
-        self._mistakes: List[RetalisError] = []
+        self._program_warnings: List[str] = []
 
         checkpoint = CheckpointFile(parameters.checkpoint, parameters.program, self._reports)
         self.engine = checkpoint.create_engine(
@@ -119,8 +119,6 @@ class ProgramHost:
             record_origins(self.engine)
 
         self._topics = context.topics
-        # Those of the last reload, for checks.
-        self._checked_topics = context.topics
         # If messages pass as text, the interface node reports it.
         if context.topics_error is not None and not parameters.uses_texts:
             self._errors += log_error(context.topics_error)
@@ -148,7 +146,7 @@ class ProgramHost:
         self._published, self._subscribed = self._program.published, self._program.subscribed
         if not checkpoint.is_resumed:
             self._load()
-        self._log_mistakes()
+        self._log_mistakes(self._topics)
         self._open_topics(outputs, requests, connect_interface)
         self._offer_services(connect_interface is None)
         locks = texts.receive_events(self._subscribed.subscribe_texts, self.engine.post_text)
@@ -231,22 +229,21 @@ class ProgramHost:
         except RetalisError as error:
             self._errors += log_error(error)
 
-    def _log_mistakes(self) -> None:
-        """Log probable mistakes in the loaded program, except those that have been logged since it was loaded."""
-        forwarding, topics = self._parameters.forwarding, self._checked_topics
-        mistakes = self._program.find_mistakes(
+    def _log_mistakes(self, topics: Topics) -> None:
+        """Log probable mistakes in the loaded program."""
+        forwarding = self._parameters.forwarding
+        warnings = self._program.log_mistakes(
             self._parameters.program,
             self._make_short_lived_definitions(),
             topics if forwarding is None else topics._replace(forwarded=forwarding.topics),
             self._service_caller.find_refusal,
         )
         if self._forwarding is not None:
-            mistakes += self._forwarding.check_topics(self.engine.output_topics())
-        logged_texts = {str(mistake) for mistake in self._mistakes}
-        for mistake in mistakes:
-            if str(mistake) not in logged_texts:
-                log.warning("%s", mistake)
-        self._mistakes = mistakes
+            unused_topics = self._forwarding.check_topics(self.engine.output_topics())
+            for warning in unused_topics:
+                log.warning("%s", warning)
+            warnings += unused_topics
+        self._program_warnings += [warning.brief() for warning in warnings]
 
     def _make_short_lived_definitions(self) -> Definitions:
         """Return definitions that are freed after use: checks load types that the node does not need."""
@@ -255,10 +252,9 @@ class ProgramHost:
 
     def _on_reload(self, topics: Topics) -> None:
         self._errors.clear()
-        self._mistakes.clear()
+        self._program_warnings.clear()
         self.engine.do(self._program.require_transforms)
-        self._checked_topics = topics
-        self._log_mistakes()
+        self._log_mistakes(topics)
 
     # ---- topics
 
@@ -347,7 +343,7 @@ class ProgramHost:
             lambda goal, topic: self._explain_type_mismatch(goal, topic, types),
         )
         QueryServices(transport, engine)
-        RuleServices(transport, engine, self._log_mistakes)
+        RuleServices(transport, engine)
         ReloadService(
             transport,
             engine,
@@ -459,7 +455,7 @@ class ProgramHost:
             return [
                 *engine_health.evaluate(now, status, self._unstamped_events()),
                 *([] if forwarding is None else forwarding.evaluate(now)),
-                evaluate_program(list(self._errors), [mistake.brief() for mistake in self._mistakes]),
+                evaluate_program(list(self._errors), list(self._program_warnings)),
             ]
 
         return evaluate

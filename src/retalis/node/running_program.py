@@ -7,7 +7,7 @@ them. Nodes and playback contain one, so that the same messages have the same re
 1. The constructor and `accept_requests`, before the program is loaded, because its goals emit outputs and request
    topics.
 2. `open_topics` and `start_transforms`, from which on messages arrive.
-3. `find_mistakes`, when the program is loaded and the types of its topics are known.
+3. `log_mistakes`, when the program is loaded and the types of its topics are known.
 """
 
 import logging
@@ -175,14 +175,14 @@ class RunningProgram:
         """Subscribe to the topics of transforms."""
         self.subscribed.subscribe_transforms(self.engine.post_transforms)
 
-    def find_mistakes(
+    def log_mistakes(
         self,
         program: Path,
         definitions: Definitions,
         topics: Optional[Topics] = None,
         find_refusal: Callable[[str], str] = lambda name: "",
     ) -> List[RetalisError]:
-        """Return warnings about probable mistakes in the loaded program.
+        """Log probable mistakes in the loaded program, and return them.
 
         Args:
             program: folder of the program.
@@ -194,7 +194,10 @@ class RunningProgram:
         self.untyped_topics.mark_reported(self.engine.output_topics())
         topics = self._context.topics if topics is None else topics
         direct = direct_topics(self._context.direct, topics, self._context.transport.resolve_topic)
-        return list(self.engine.warnings(program, definitions, topics, direct, find_refusal))
+        warnings = list(self.engine.warnings(program, definitions, topics, direct, find_refusal))
+        for warning in warnings:
+            log.warning("%s", warning)
+        return warnings
 
 
 def open_topics(

@@ -351,36 +351,24 @@ def parse_name(text: str, field: str) -> Term:
 
 
 class RuleServices:
-    """Services ``~add_rule`` and ``~delete_rule`` of node retalis.
+    """Services ``~add_rule`` and ``~delete_rule`` of node retalis."""
 
-    Args:
-        transport: the middleware.
-        after_change: called after a rule has been added or deleted.
-    """
-
-    def __init__(self, transport: Transport, engine: Engine, after_change: Callable[[], None]):
+    def __init__(self, transport: Transport, engine: Engine):
         self._engine = engine
-        self._after_change = after_change
         offer_service(transport, "~add_rule", "AddRule", self._add)
         offer_service(transport, "~delete_rule", "DeleteRule", self._delete)
 
     def _add(self, request: Any) -> Response:
         try:
-            label = add_rule(self._engine, request.rule, request.label)
+            return {"result": OK, "label": add_rule(self._engine, request.rule, request.label)}
         except (SyntaxFault, ProgramErrors) as error:
             # In several lines: the source lines, with carets below the errors.
             return {"result": f"error: {shorten(str(error), MAX_ANSWER_CHARACTERS)}"}
         except RetalisError as error:
             return {"result": format_error(error)}
-        self._after_change()
-        return {"result": OK, "label": label}
 
     def _delete(self, request: Any) -> Response:
-        def execute() -> None:
-            delete_rule(self._engine, request.label)
-            self._after_change()
-
-        return execute_request(execute)
+        return execute_request(lambda: delete_rule(self._engine, request.label))
 
 
 DEFAULT_LISTED_ITEMS = 100

@@ -425,8 +425,7 @@ class Playback:
         self._is_checked = True
         with interruptible():
             # The checks read the program, and import what reads installed message types.
-            for mistake in self._program.find_mistakes(self._folder, self.definitions):
-                log.warning("%s", mistake)
+            self._program.log_mistakes(self._folder, self.definitions)
 
     def is_latched(self, topic: str) -> bool:
         """Return whether ``pub_sub.xml`` declares a topic as latched.
