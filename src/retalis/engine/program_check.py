@@ -48,9 +48,9 @@ from .engine_settings import Settings
 from .ros_param_predicate import no_parameters
 from .runtime.problem_reports import Reports
 
-_CODES_OF_NAMES = ("RT1402", "RT1405", "RT1406")
-"""Codes of the checks of single names and variables. At the place of a problem of loading, they describe the same
-mistake in another way; other checks describe another one."""
+_CODES_OF_NAMES = ("RT1201", "RT1402", "RT1405", "RT1406")
+"""Codes of the checks of single names, variables, and events without a producer. At the place of a problem of
+loading, they describe the same mistake in another way; other checks describe another one."""
 
 
 class FindingCollector(Reports):
