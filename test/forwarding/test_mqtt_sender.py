@@ -10,6 +10,12 @@ from retalis import UsageError
 from retalis.forwarding.mqtt_sender import OLDEST_PAHO, OLDEST_PAHO_WITH_MANUAL_ACK, import_paho
 
 
+@pytest.fixture(autouse=True)
+def _virtual_environment(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let hints name pip; for the Python of Debian they name apt."""
+    monkeypatch.setattr(sys, "prefix", "/opt/environment")
+
+
 def install_paho(monkeypatch: pytest.MonkeyPatch, version: str) -> Any:
     """Install a package with a version; return its client module."""
     modules = [ModuleType(name) for name in ("paho", "paho.mqtt", "paho.mqtt.client")]
