@@ -90,7 +90,7 @@ def test_job_has_outputs_of_loop(tmp_path: Path) -> None:
     expected = run(tmp_path, FOLDER / "plain.py", stdin=tmp_path / "events.jsonl").stdout.splitlines()
     with open(tmp_path / "events.jsonl", "a", encoding="utf-8") as events:
         events.write('not json\n{"robot": "r01", "time": 99999999999, "event": "bump"}\n')
-        events.write('{"robot": "r01", "time": 50, "event": "bump("}\n')
+        events.write('{"robot": "r01", "time": 100, "event": "bump("}\n')
     process = run(tmp_path, FOLDER / "fleet.py", "events.jsonl", "results", "checkpoints")
     assert process.returncode == 0, process.stderr
     assert by_robot(lines_of(tmp_path / "results" / "outputs")) == by_robot(expected)

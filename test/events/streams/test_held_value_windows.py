@@ -203,8 +203,8 @@ def test_sliding_window_ends_at_newest_value_after_clock_returns() -> None:
     process(window, "a", 1, 4)
     process(window, "a", 9, 8)
     window.return_to(3)
-    ((_, start, end, results, _),) = process(window, "a", 4, 2)
-    assert (start, end, results) == (1, 9, (2.75,))
+    (output,) = process(window, "a", 4, 2)
+    assert (output.start, output.end, output.results) == (1, 9, (2.75,))
 
 
 def test_state_without_element_of_next_window_is_restored() -> None:
