@@ -13,8 +13,8 @@ BENCH = Path(__file__).resolve().parents[2] / "bench"
 @pytest.mark.parametrize(
     ("arguments", "problem"),
     [
-        ("event_streams.py --from nofile", "there is no nofile"),
-        ("event_streams.py --json nofolder/figures.json", "there is no folder nofolder"),
+        ("partial_matches.py --from nofile", "there is no nofile"),
+        ("partial_matches.py --json nofolder/figures.json", "there is no folder nofolder"),
         ("curves.py --runs 0", "0 is not a whole number above zero"),
         ("engine.py --all --python nosuch", "there is no program nosuch"),
         ("engine.py --all --against nofolder", "there is no nofolder"),
@@ -39,7 +39,7 @@ def test_invalid_argument_is_reported(arguments: str, problem: str, tmp_path: Pa
 @pytest.mark.slow
 def test_file_without_figures_is_reported(tmp_path: Path) -> None:
     (tmp_path / "wrong.json").write_text('{"python": "3.11"}')
-    command = [sys.executable, str(BENCH / "event_streams.py"), "--from", "wrong.json"]
+    command = [sys.executable, str(BENCH / "partial_matches.py"), "--from", "wrong.json"]
     process = subprocess.run(command, cwd=tmp_path, stderr=subprocess.PIPE, text=True)
     assert process.returncode == 1
     assert process.stderr == "wrong.json has not the figures that --json writes: KeyError('rows')\n"
