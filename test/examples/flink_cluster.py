@@ -154,6 +154,16 @@ class Cluster:
         self._end(name)
         self.start(name)
 
+    def count_free_slots(self) -> int:
+        """Return the number of free slots, and start ended task managers again, as a service manager does.
+
+        A task manager may end itself after its manager was killed: Beam's "Reference count must not be negative".
+        """
+        for name, process in self._processes.items():
+            if name.startswith("worker") and process.poll() is not None:
+                self.start(name)
+        return int(self.get("/overview").get("slots-available", 0))
+
     def _end(self, name: str) -> None:
         process = self._processes[name]
         # The Python processes of a task manager notice its end themselves, but not at once.

@@ -149,7 +149,7 @@ def run_and_kill(
         cluster.kill(name)
         if name == "manager":
             # Without a highly available store the job ends with its manager.
-            wait_until(lambda: cluster.get("/overview").get("slots-available", 0) >= 2, "workers")
+            wait_until(lambda: cluster.count_free_slots() >= 2, "workers")
             cluster.submit(find_newest_checkpoint(tmp_path / "checkpoints"))
     client.publish(lines[kills * part :])
     check_outputs(cluster, client, expected)
